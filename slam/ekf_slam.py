@@ -1,0 +1,284 @@
+"""EKF-SLAM: one Gaussian over the pose and all features, the baseline that the paper's introduction argues against.
+
+Same interface as the particle filters, as one "particle"; beside the marginals that a `Particles` holds it carries the
+joint covariance.  R. Smith, M. Self, P. Cheeseman, "Estimating Uncertain Spatial Relationships in Robotics" (1990).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam._jit import inline, kernel
+from slam.association import candidates, ignore_gate
+from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
+from slam.association.nearest import nearest_first, slot_for
+from slam.features import draw, innovation, inverse
+from slam.geometry import wrap
+from slam.linalg import distance2, dot2, inverse22, log_density
+from slam.phases import initial, observation_covariance, predict
+from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, Params, Particles, Trace
+
+POSE = slice(0, 3)
+
+
+class EkfState(NamedTuple):
+    """The joint Gaussian.  Pose mean, feature means and their marginals are in the one particle."""
+
+    particles: Particles
+    """K = 1."""
+    covariance: Floats
+    """(3 + 2n, 3 + 2n) of the pose and of the two uncertain coordinates of each feature."""
+
+
+def init(feature: Any, start: Floats, start_covariance: Floats, params: Params) -> EkfState:
+    """The pose Gaussian, start (3,) and (3, 3), and an empty map.  `params.particles` does not matter."""
+    one = Params(particles=1)
+    return EkfState(initial(feature, start, start_covariance, one), np.array(start_covariance, float))
+
+
+def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params) -> tuple[EkfState, Trace]:
+    """One observing step: predict, associate, correct pose and map, add what is new.  Draws nothing."""
+    R = observation_covariance(frame, params.believed)
+    R_known = params.inflate_r * R
+
+    state = predict_joint(state, frame, params)
+    predicted = state.particles
+    n = associate_joint(state, frame, R_known, params)
+    n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
+    state, log_p = update_joint(state, frame, n, R_known)
+    state = augment(state, frame, n, R)
+
+    weighted, one = state.particles, np.zeros(1, np.int64)
+    return state, Trace(predicted, weighted, weighted, n, params.temper * log_p, 1.0, False, one, one)
+
+
+def predict_joint(state: EkfState, frame: Frame, params: Params) -> EkfState:
+    """s := h(s, u); the features stay, their correlation with the pose turns with H_s.
+
+    H_s of every motion model here is that of a displacement given in the robot's frame, so the product over the ticks
+    is that of the whole displacement.
+    """
+    before = state.particles
+    after = predict(before, frame, params.believed)
+    dx, dy = after.s[0, :2] - before.s[0, :2]
+    H_s = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    covariance = state.covariance.copy()
+    covariance[POSE, 3:] = H_s @ covariance[POSE, 3:]
+    covariance[3:, POSE] = covariance[POSE, 3:].T
+    covariance[POSE, POSE] = after.P[0]
+    return EkfState(after, covariance)
+
+
+def associate_joint(state: EkfState, frame: Frame, R: Floats, params: Params) -> Ints:
+    """n (1, Z) as `slam.association.associate`, with the joint covariance of all innovations."""
+    maps = state.particles.maps
+    if params.association == "known":
+        n = maps.find(frame.tags)
+        if params.gate_known < 1.0 and maps.counts[0]:
+            gate, theta = chi_square_gates(params.gate_known, 1)[1], maps.features(0)[0]
+            _ignore_outliers(frame.feature, state.particles.s[0], theta, state.covariance, frame.z, R, gate, n[0])
+        return n
+    n = np.full((1, len(frame.z)), NEW)
+    if not len(frame.z) or not maps.counts[0]:
+        return n
+    theta, _, _ = maps.features(0)
+    gates = chi_square_gates(params.gate, len(frame.z))
+    most = len(frame.z) * candidates(len(frame.z))
+    obs, feat, d2 = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    v, G, nearest = np.empty((most, 2)), np.empty((most, 2, 5)), np.full(len(frame.z), np.inf)
+    s, covariance = state.particles.s[0], state.covariance
+    M = _compatible_pairs(frame.feature, s, theta, covariance, frame.z, R, gates[1], obs, feat, d2, v, G, nearest)
+    obs, feat, d2, v, G = obs[:M], feat[:M], d2[:M], v[:M], G[:M]
+    if params.association == "nearest":
+        _choose_nearest(obs, feat, d2, np.empty(M, np.bool_), n[0])
+    elif M:
+        C = _joint_innovation_covariance(covariance, obs, feat, G, R)
+        _choose_jointly(obs, feat, v, C, gates, workspace(M, len(frame.z)), n[0])
+    n[0, (n[0] == NEW) & (nearest <= ignore_gate(params))] = IGNORED
+    return n
+
+
+@inline
+def _innovation(feature: Any, s: Any, theta: Any, covariance: Any, j: Any, z: Any, R: Any) -> Any:
+    """v (2,), G = (G_s, G_theta) (2, 5) and V (2, 2) of one observation and feature j, which is correlated with the
+    pose."""
+    v, G_s, G_theta = innovation(feature, theta[j], s, z)
+    G = (
+        (G_s[0][0], G_s[0][1], G_s[0][2], G_theta[0][0], G_theta[0][1]),
+        (G_s[1][0], G_s[1][1], G_s[1][2], G_theta[1][0], G_theta[1][1]),
+    )
+    V00, V01, V11 = R[0, 0], R[0, 1], R[1, 1]
+    for a in range(5):
+        row = a if a < 3 else 2 * j + a  # of the joint covariance: the pose, then this feature
+        w0, w1 = 0.0, 0.0
+        for b in range(5):
+            column = b if b < 3 else 2 * j + b
+            w0 += covariance[row, column] * G[0][b]
+            w1 += covariance[row, column] * G[1][b]
+        V00 += G[0][a] * w0
+        V01 += G[0][a] * w1
+        V11 += G[1][a] * w1
+    return v, G, ((V00, V01), (V01, V11))
+
+
+@kernel
+def _ignore_outliers(feature: Any, s: Any, theta: Any, covariance: Any, z: Any, R: Any, gate: Any, n: Any) -> None:
+    for i in range(len(z)):
+        if n[i] >= 0:
+            v, _, V = _innovation(feature, s, theta, covariance, n[i], z[i], R[i])
+            if not distance2(v, V) <= gate:
+                n[i] = IGNORED
+
+
+@kernel
+def _compatible_pairs(
+    feature: Any, s: Any, theta: Any, covariance: Any, z: Any, R: Any, gate: Any,
+    obs: Any, feat: Any, d2: Any, v: Any, G: Any, nearest: Any,
+) -> int:  # fmt: skip
+    """M pairs that pass the gate (27): obs (M,), feat (M,), d2 (M,), v (M, 2) and G (M, 2, 5) = (G_s, G_theta).
+
+    nearest (Z,) is lowered to the distance of the nearest feature, in the gate or not.
+    """
+    M = 0
+    for i in range(len(z)):
+        first = M
+        for j in range(len(theta)):
+            vj, g, V = _innovation(feature, s, theta, covariance, j, z[i], R[i])
+            distance = distance2(vj, V)  # (25)
+            nearest[i] = min(nearest[i], distance)
+            if not distance <= gate:
+                continue
+            p = slot_for(d2, first, M, len(obs) // len(z), distance)
+            if p < 0:
+                continue
+            M = max(M, p + 1)
+            obs[p], feat[p], d2[p] = i, j, distance
+            v[p, 0], v[p, 1] = vj
+            for a in range(5):
+                G[p, 0, a], G[p, 1, a] = g[0][a], g[1][a]
+    return M
+
+
+def _joint_innovation_covariance(covariance: Floats, obs: Ints, feat: Ints, G: Floats, R: Floats) -> Floats:
+    """(2M, 2M) of the stacked innovations of M pairs, whose errors share the pose and correlated features."""
+    M = len(obs)
+    columns = np.concatenate([np.tile([0, 1, 2], (M, 1)), 3 + 2 * feat[:, None] + [0, 1]], axis=1)  # (M, 5)
+    H = np.zeros((2 * M, len(covariance)))
+    for p in range(M):
+        H[2 * p : 2 * p + 2, columns[p]] = G[p]
+    C = H @ covariance @ H.T
+    for p in range(M):
+        C[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] += R[obs[p]]
+    return C
+
+
+@kernel
+def _choose_nearest(obs: Any, feat: Any, d2: Any, free: Any, n: Any) -> None:
+    nearest_first(obs, feat, d2, free, n)
+
+
+@kernel
+def _choose_jointly(obs: Any, feat: Any, v: Any, C: Any, gates: Any, work: Any, n: Any) -> None:
+    joint_compatibility(obs, feat, v, C, gates, MAX_NODES, work, n)
+
+
+def update_joint(state: EkfState, frame: Frame, n: Ints, R: Floats) -> tuple[EkfState, Floats]:
+    """EKF update by every matched observation in turn, linearised at the running mean; also log N(v; 0, V) (1, Z)."""
+    log_p = np.zeros(n.shape)
+    if not (n >= 0).any():
+        return state, log_p
+    particles = state.particles
+    s, covariance = particles.s[0].copy(), state.covariance.copy()
+    theta = particles.maps.features(0)[0]
+    W, K = np.empty((len(covariance), 2)), np.empty((len(covariance), 2))
+    _update_joint(frame.feature, s, theta, covariance, n[0], frame.z, R, log_p[0], W, K)
+    maps = particles.maps.replace(np.arange(len(theta))[None], theta[None], _feature_blocks(covariance)[None])
+    return _with(particles._replace(s=s[None], maps=maps), covariance), log_p
+
+
+@kernel
+def _update_joint(
+    feature: Any, s: Any, theta: Any, covariance: Any, n: Any, z: Any, R: Any, log_p: Any, W: Any, K: Any
+) -> None:
+    """Overwrites s, theta, covariance and log_p, which are the caller's own copies; W, K (3 + 2n, 2) are work space."""
+    size = len(covariance)
+    for i in range(len(z)):
+        if n[i] < 0:
+            continue
+        v, G_s, G_theta = innovation(feature, theta[n[i]], s, z[i])
+        f = 3 + 2 * n[i]
+        for r in range(size):  # W = covariance G^T, of which only five columns of G are not zero
+            for a in range(2):
+                pose = covariance[r, 0] * G_s[a][0] + covariance[r, 1] * G_s[a][1] + covariance[r, 2] * G_s[a][2]
+                W[r, a] = pose + covariance[r, f] * G_theta[a][0] + covariance[r, f + 1] * G_theta[a][1]
+        V00, V01, V11 = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
+        for c in range(3):
+            V00 += G_s[0][c] * W[c, 0]
+            V01 += G_s[0][c] * W[c, 1]
+            V11 += G_s[1][c] * W[c, 1]
+        for c in range(2):
+            V00 += G_theta[0][c] * W[f + c, 0]
+            V01 += G_theta[0][c] * W[f + c, 1]
+            V11 += G_theta[1][c] * W[f + c, 1]
+        V = ((V00, V01), (V01, V11))
+        log_p[i] = log_density(v, V)
+        if not log_p[i] > -np.inf:
+            continue  # what is impossible corrects nothing
+        Vi = inverse22(V)
+        for r in range(size):
+            K[r, 0], K[r, 1] = dot2((W[r, 0], W[r, 1]), Vi[0]), dot2((W[r, 0], W[r, 1]), Vi[1])
+        s[0] += K[0, 0] * v[0] + K[0, 1] * v[1]
+        s[1] += K[1, 0] * v[0] + K[1, 1] * v[1]
+        s[2] = wrap(s[2] + K[2, 0] * v[0] + K[2, 1] * v[1])
+        for j in range(len(theta)):
+            m = 3 + 2 * j
+            delta = (dot2((K[m, 0], K[m, 1]), v), dot2((K[m + 1, 0], K[m + 1, 1]), v))
+            moved = draw(feature, theta[j], delta)
+            for d in range(len(moved)):
+                theta[j, d] = moved[d]
+        for r in range(size):  # K W^T = K V K^T is symmetric; computed once for both triangles it stays so
+            for c in range(r + 1):
+                covariance[r, c] -= K[r, 0] * W[c, 0] + K[r, 1] * W[c, 1]
+                covariance[c, r] = covariance[r, c]
+
+
+def augment(state: EkfState, frame: Frame, n: Ints, R: Floats) -> EkfState:
+    """Add every unmatched observation: theta = f(s, z), with its correlation to pose and map through F_s (33, 35)."""
+    particles, covariance = state
+    for i in np.flatnonzero(n[0] == NEW):
+        theta, F_s, F_z = inverse(frame.feature, particles.s[0], frame.z[i])
+        F_s, F_z = np.array(F_s), np.array(F_z)
+        size = len(covariance)
+        grown = np.empty((size + 2, size + 2))
+        grown[:size, :size] = covariance
+        grown[size:, :size] = F_s @ covariance[POSE]
+        grown[:size, size:] = grown[size:, :size].T
+        grown[size:, size:] = F_s @ covariance[POSE, POSE] @ F_s.T + F_z @ R[i] @ F_z.T
+        covariance = grown
+        maps = particles.maps.append(
+            np.ones((1, 1), bool), np.array([[theta]]), grown[None, None, size:, size:], frame.tags[i : i + 1]
+        )
+        particles = particles._replace(maps=maps)
+    return _with(particles, covariance)
+
+
+def _feature_blocks(covariance: Floats) -> Floats:
+    """(n, 2, 2) the marginals of the features."""
+    n = (len(covariance) - 3) // 2
+    blocks = covariance[3:, 3:].reshape(n, 2, n, 2)
+    return blocks[np.arange(n), :, np.arange(n), :]
+
+
+def _with(particles: Particles, covariance: Floats) -> EkfState:
+    return EkfState(particles._replace(P=covariance[None, POSE, POSE].copy()), covariance)
+
+
+EKF_SLAM = Estimator(
+    key="ekf",
+    title="EKF-SLAM",
+    reference="Smith, Self, Cheeseman, in: Autonomous Robot Vehicles (1990), 167-193",
+    init=init,
+    step=step,
+)

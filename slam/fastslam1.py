@@ -1,0 +1,52 @@
+"""FastSLAM 1.0: the particle filter runs over paths, proposed from the controls alone; each feature has its EKF."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.association import associate
+from slam.phases import (
+    add_features,
+    draw_pose,
+    initial,
+    matched_features,
+    miss_density,
+    observation_covariance,
+    predict_by_sampling,
+    resample_if_needed,
+    resize,
+    reweigh,
+    update_features,
+)
+from slam.types import Estimator, Frame, Params, Particles, Trace
+
+
+def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
+    """One observing step: draw the pose, associate, update the map, weigh, resample."""
+    particles, resized = resize(rng, particles, params)
+    R = observation_covariance(frame, params.believed)
+    R_known = params.inflate_r * R
+
+    if particles.P.any():
+        particles = draw_pose(rng, particles)  # an uncertain start
+    predicted = predict_by_sampling(rng, particles, frame, params.believed)  # (11)
+    n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
+    miss = miss_density(params, n)
+    matched = matched_features(predicted.maps, n)
+    updated, log_p = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
+    log_p = params.temper * log_p
+    weighted, events = reweigh(updated, log_p)
+    mapped = add_features(weighted, frame, n, R)  # (33)
+    resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
+
+    weighted = weighted._replace(maps=mapped.maps)
+    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events)
+
+
+FASTSLAM1 = Estimator(
+    key="fs1",
+    title="FastSLAM 1.0",
+    reference="Montemerlo, Thrun, Koller, Wegbreit, AAAI 2002, 593-598",
+    init=initial,
+    step=step,
+)

@@ -1,0 +1,77 @@
+"""Feature kinds behind one innovation-valued interface.
+
+A kind is a `NamedTuple` class; its instance travels in the `Frame` and tells compiled kernels, at compile time, which
+mathematics to use.  It has these static functions over scalars and tuples (plain Python too, so tests can call them):
+
+    innovation(feature, theta, s, z) -> v (2,), G_s (2, 3), G_theta (2, 2)
+    inverse(feature, s, z)           -> theta (D,), F_s (2, 3), F_z (2, 2)
+    draw(feature, theta, delta)      -> theta displaced by delta (2,) in the two coordinates that are uncertain
+    extent(feature, theta)           -> (x_min, y_min, x_max, y_max) [m], for the search over the map
+    region(feature, s, P, z, R, reach)
+                                     -> such a box, and how far beyond it a feature with Sigma may stand, for each
+                                        metre of its deviation: no feature outside has a distance (25) <= reach^2
+
+`v = z - g(s, theta)` (23), with G_s = dg/ds and G_theta = dg/dtheta (24); F_s and F_z are those of (35).  The two
+columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y). Class
+attributes: `dim` = D numbers that describe a feature, `observation` = d numbers of one observation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.extending import overload
+
+from slam.features.point import Point
+
+__all__ = ["Point", "draw", "extent", "innovation", "inverse", "region"]
+
+
+def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+    """v (2,), G_s (2, 3), G_theta (2, 2) of one observation paired with one feature (23, 24)."""
+    return type(feature).innovation(feature, theta, s, z)
+
+
+def inverse(feature: Any, s: Any, z: Any) -> Any:
+    """theta (D,), F_s (2, 3), F_z (2, 2) of the feature that one observation creates (33, 35)."""
+    return type(feature).inverse(feature, s, z)
+
+
+def draw(feature: Any, theta: Any, delta: Any) -> Any:
+    """The feature displaced by delta (2,) in its uncertain coordinates."""
+    return type(feature).draw(feature, theta, delta)
+
+
+def extent(feature: Any, theta: Any) -> Any:
+    """(x_min, y_min, x_max, y_max) [m] that the feature covers."""
+    return type(feature).extent(feature, theta)
+
+
+def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+    """Where z may be of a feature: (x_min, y_min, x_max, y_max) [m], and metres more for each metre of deviation."""
+    return type(feature).region(feature, s, P, z, R, reach)
+
+
+@overload(innovation)
+def _innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+    return feature.instance_class.innovation
+
+
+@overload(inverse)
+def _inverse(feature: Any, s: Any, z: Any) -> Any:
+    return feature.instance_class.inverse
+
+
+@overload(draw)
+def _draw(feature: Any, theta: Any, delta: Any) -> Any:
+    return feature.instance_class.draw
+
+
+@overload(extent)
+def _extent(feature: Any, theta: Any) -> Any:
+    return feature.instance_class.extent
+
+
+@overload(region)
+def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+    return feature.instance_class.region

@@ -1,0 +1,138 @@
+"""Motion models h (5): what a control tick does to a pose, with its exact Jacobians (21, 22).
+
+A model is a `NamedTuple`; its instance travels in the `Frame` (see `slam.features` for why).  Static functions over
+scalars and tuples:
+
+    propagate(motion, s, u, dt) -> s' (3,), H_s (3, 3), H_u (3, m)       h and its Jacobians
+    deviation(motion, u, noise) -> (T, m) standard deviations of controls u (T, m)
+
+The covariance of the noise on the pose is H_u diag(deviation^2) H_u^T for each tick: the paper's Q (7) is on the pose,
+the noise of every real robot is on its controls.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from slam.geometry import wrap
+from slam.types import Floats, Noise
+
+
+class Unicycle(NamedTuple):
+    """Controls (v, w) [m/s, rad/s], constant during a tick: the exact arc, written as chord and mid-heading."""
+
+    controls = 2
+
+    @staticmethod
+    def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+        """h(s, u): the chord is v dt sinc(w dt / 2), in the direction of the heading half way."""
+        half = 0.5 * u[1] * dt
+        if abs(half) < 1e-4:  # series: sin(a)/a and its derivative lose digits near zero
+            sinc, dsinc = 1.0 - half * half / 6.0, -half / 3.0
+        else:
+            sinc = math.sin(half) / half
+            dsinc = (math.cos(half) - sinc) / half
+        c, q = math.cos(s[2] + half), math.sin(s[2] + half)
+        chord = u[0] * dt * sinc
+        dchord = 0.5 * u[0] * dt * dt * dsinc  # d chord / d w
+        s_new = (s[0] + chord * c, s[1] + chord * q, wrap(s[2] + u[1] * dt))
+        H_s = ((1.0, 0.0, -chord * q), (0.0, 1.0, chord * c), (0.0, 0.0, 1.0))
+        H_u = (
+            (dt * sinc * c, dchord * c - 0.5 * dt * chord * q),
+            (dt * sinc * q, dchord * q + 0.5 * dt * chord * c),
+            (0.0, dt),
+        )
+        return s_new, H_s, H_u
+
+    @staticmethod
+    def deviation(motion: Unicycle, u: Floats, noise: Noise) -> Floats:
+        """(speed, turn) for every tick."""
+        return np.broadcast_to(np.array([noise.speed, noise.turn]), u.shape)
+
+
+class Ackermann(NamedTuple):
+    """Controls (v, G): speed of the front wheel [m/s] and steering angle [rad]; the pose is of a point of the vehicle.
+
+    That point lies `ahead` of the rear axle and `left` of the centre line.  At the front axle (ahead = wheelbase, left
+    = 0) this is the vehicle of the paper's baseline code: x' = v cos(heading + G), heading' = v sin(G) / wheelbase,
+    integrated as that code does, by one Euler step a tick.  A wheel speed at the rear axle is v cos(G).
+    """
+
+    wheelbase: float = 4.0
+    """[m]"""
+    ahead: float = 4.0
+    """[m]"""
+    left: float = 0.0
+    """[m]"""
+
+    controls = 2
+
+    @staticmethod
+    def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+        """h(s, u): the rear axle rolls with v cos(G), the reference point swings about it."""
+        c, q = math.cos(s[2]), math.sin(s[2])
+        cG, sG = math.cos(u[1]), math.sin(u[1])
+        ax = motion.ahead * q + motion.left * c  # minus d(arm)/d(heading) . x
+        ay = motion.ahead * c - motion.left * q
+        turn = dt * u[0] / motion.wheelbase  # heading change per unit of sin(G)
+        dx = dt * u[0] * cG * c - turn * sG * ax
+        dy = dt * u[0] * cG * q + turn * sG * ay
+        s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + turn * sG))
+        H_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
+        per_metre = 1.0 / motion.wheelbase
+        H_u = (
+            (dt * (cG * c - per_metre * sG * ax), -dt * u[0] * sG * c - turn * cG * ax),
+            (dt * (cG * q + per_metre * sG * ay), -dt * u[0] * sG * q + turn * cG * ay),
+            (dt * per_metre * sG, turn * cG),
+        )
+        return s_new, H_s, H_u
+
+    @staticmethod
+    def deviation(motion: Ackermann, u: Floats, noise: Noise) -> Floats:
+        """(speed, steering) for every tick."""
+        return np.broadcast_to(np.array([noise.speed, noise.turn]), u.shape)
+
+
+class Odometry(NamedTuple):
+    """Controls are increments (dx, dy, dphi) [m, m, rad] in the robot's frame, as wheel odometry integrates them."""
+
+    turn_per_metre: float = 0.1
+    """[rad/m] of travel that counts, beside the turn itself, as motion that the heading error grows with (ours)."""
+
+    controls = 3
+
+    @staticmethod
+    def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+        """h(s, u) = s (+) u; dt does not matter."""
+        c, q = math.cos(s[2]), math.sin(s[2])
+        dx, dy = c * u[0] - q * u[1], q * u[0] + c * u[1]
+        s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + u[2]))
+        H_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
+        H_u = ((c, -q, 0.0), (q, c, 0.0), (0.0, 0.0, 1.0))
+        return s_new, H_s, H_u
+
+    @staticmethod
+    def deviation(motion: Odometry, u: Floats, noise: Noise) -> Floats:
+        """noise.odometry times the travel for dx and dy; times the turn and `turn_per_metre` of the travel for dphi."""
+        travel = np.hypot(u[:, 0], u[:, 1])
+        turn = np.hypot(u[:, 2], motion.turn_per_metre * travel)
+        return noise.odometry * np.stack([travel, travel, turn], axis=1)
+
+
+def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+    """s' (3,), H_s (3, 3), H_u (3, m) of one control tick of `dt` seconds (5, 21, 22)."""
+    return type(motion).propagate(motion, s, u, dt)
+
+
+@overload(propagate)
+def _propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+    return motion.instance_class.propagate
+
+
+def deviation(motion: Any, u: Floats, noise: Noise) -> Floats:
+    """(T, m) standard deviations of the controls u (T, m)."""
+    return type(motion).deviation(motion, u, noise)
