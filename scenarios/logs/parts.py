@@ -1,0 +1,86 @@
+"""Parts of a log by frame number: from one frame to another, and every so many."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from scenarios.types import Source, SourceError, Step
+from slam.geometry import compose, wrap
+from slam.motion import propagate
+from slam.types import Floats
+
+ALIGN_OVER = 30.0
+"""[s] on either side of a part's beginning within which its start pose is fitted, where the truth has no heading."""
+
+
+def part(source: Source, first: int | None = None, last: int | None = None, every: int = 1) -> Source:
+    """The frames `first` to `last` (from 0, both included) of a source, and of these every `every`-th.
+
+    The controls of frames that are left out go to the next frame that is kept.  The start pose is the truth of the
+    frame before; where that is not known in full, dead reckoning fitted to the truth within `ALIGN_OVER`; and where
+    there is none either, dead reckoning from the start of the log, with a warning.  Raises `SourceError` if no frame
+    is left.
+    """
+    if first is None and last is None and every == 1:
+        return source
+    count = len(source.steps)
+    begin, end = first or 0, count - 1 if last is None else last
+    if every < 1:
+        raise SourceError(f"every {every}: expected 1 or more frames")
+    if not 0 <= begin < count:
+        raise SourceError(f"first frame {begin}: expected 0 to {count - 1}, the frames of {source.name}")
+    if end < begin:
+        raise SourceError(f"last frame {end}: expected {begin}, the first frame, or more")
+    end = min(end, count - 1)
+    kept = []
+    for i in range(begin, end + 1, every):
+        frames = [step.frame for step in source.steps[max(i - every + 1, begin) : i + 1]]
+        u, dt = np.concatenate([f.u for f in frames]), np.concatenate([f.dt for f in frames])
+        kept.append(Step(source.steps[i].frame._replace(u=u, dt=dt), source.steps[i].truth))
+    start, warnings = (source.start, ()) if begin == 0 else _start(source, begin)
+    options = {"first": begin, "last": end, "every": every}
+    return replace(
+        source,
+        steps=tuple(kept),
+        start=start,
+        warnings=(*source.warnings, *warnings),
+        options={**source.options, **options},
+    )
+
+
+def dead_reckoning(source: Source) -> Floats:
+    """(F, 3) the pose at each frame by the controls alone, from the start of the source."""
+    path = np.empty((len(source.steps), 3))
+    pose = tuple(map(float, source.start))
+    for i, (frame, _) in enumerate(source.steps):
+        for u, dt in zip(frame.u.tolist(), frame.dt.tolist(), strict=True):
+            pose = propagate(frame.motion, pose, u, dt)[0]
+        path[i] = pose
+    return path
+
+
+def _start(source: Source, begin: int) -> tuple[Floats, tuple[str, ...]]:
+    """Pose at frame `begin - 1` and warnings."""
+    truth = source.steps[begin - 1].truth
+    if truth is not None and np.isfinite(truth).all():
+        return truth, ()
+    path = dead_reckoning(source)
+    now = source.steps[begin - 1].frame.time
+    near = [
+        i for i, step in enumerate(source.steps) if step.truth is not None and abs(step.frame.time - now) <= ALIGN_OVER
+    ]
+    if len(near) > 1:
+        here = path[near, :2]
+        there = np.array([truth[:2] for i in near if (truth := source.steps[i].truth) is not None])
+        a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+        if np.hypot(*np.ptp(there, axis=0)) > 1.0:  # metres; a standing vehicle shows no heading
+            turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+            c, s = math.cos(turn), math.sin(turn)
+            shift = there.mean(axis=0) - np.array([[c, -s], [s, c]]) @ here.mean(axis=0)
+            return compose(np.array([*shift, wrap(turn)]), path[begin - 1]), ()
+    return path[begin - 1], (
+        f"{source.name}: no truth around frame {begin}, so the part starts where dead reckoning from frame 0 ends",
+    )

@@ -1,0 +1,65 @@
+"""What every world and every log gives: a `Source`, that is a sequence of frames with the truth as far as it is
+known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from slam.types import Floats, Frame, Ints, Noise, Params
+
+
+class TrueMap(NamedTuple):
+    """The landmarks as they are."""
+
+    tags: Ints
+    """(n,)"""
+    theta: Floats
+    """(n, 2) [m, m]"""
+
+
+class Step(NamedTuple):
+    """One observing step of a source."""
+
+    frame: Frame
+    """Exact for a world (noise is added later, `scenarios.noise`); as it was logged for a log."""
+    truth: Floats | None
+    """(3,) true pose at `frame.time`; None where nobody knows.  A heading that is not known is NaN."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A simulated world or a real log, ready to be filtered."""
+
+    name: str
+    title: str
+    """One line for people."""
+    kind: Literal["world", "log"]
+    motion: Any
+    feature: Any
+    steps: tuple[Step, ...]
+    start: Floats
+    """(3,) pose before the first step."""
+    noise: Noise
+    """World: what the noise is by default.  Log: what the filter believes by default."""
+    start_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3)"""
+    true_map: TrueMap | None = None
+    max_range: float = float("inf")
+    """[m] of the sensor; for drawing."""
+    defaults: dict[str, Any] = field(default_factory=dict)
+    """Parameters (`slam.types.Params` fields) that suit this source better than the general defaults."""
+    warnings: tuple[str, ...] = ()
+    """Sentences on what was odd in the input, each naming file and line."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """The options that made this source, for `params` in summary and recording."""
+
+    def params(self, **changes: Any) -> Params:
+        """The parameters for this source: its own defaults and beliefs, then `changes`."""
+        return Params(**{"believed": self.noise, **self.defaults, **changes})
+
+
+class SourceError(ValueError):
+    """Input that cannot be used; the message is one sentence that names the value, the place and what was expected."""
