@@ -1,0 +1,52 @@
+"""One colour for each filter, the same in recording, panel, plots and pictures.
+
+The hues are Okabe and Ito's, which people with any of the common colour deficiencies tell apart, chosen to be
+legible on the dark ground of a viewer and on white paper.  What is no filter (truth, odometry) is grey.
+"""
+
+from __future__ import annotations
+
+RGB = tuple[int, int, int]
+
+FILTERS: dict[str, RGB] = {
+    "dfs": (230, 159, 0),
+    "fs2": (86, 180, 233),
+    "fs1": (0, 158, 115),
+    "ekf": (204, 121, 167),
+}
+WORDS = {"dfs": "orange", "fs2": "blue", "fs1": "green", "ekf": "pink"}
+"""What people call them."""
+
+TRUTH: RGB = (60, 60, 60)
+"""On white paper."""
+
+TRUTH_ON_DARK: RGB = (238, 238, 238)
+ODOMETRY: RGB = (130, 130, 130)
+WARNING: RGB = (240, 228, 66)
+
+BACKGROUND: RGB = (13, 16, 17)
+"""Of dark views; what fades, fades into this."""
+
+OTHER: RGB = (213, 94, 0)
+"""A filter that has no colour of its own."""
+
+
+def of_filter(key: str) -> RGB:
+    """The colour of a filter, also of one that is not listed here."""
+    return FILTERS.get(key, OTHER)
+
+
+def word(key: str) -> str:
+    """The word for the colour of a filter."""
+    return WORDS.get(key, "red")
+
+
+def mix(a: RGB, b: RGB, share: float) -> RGB:
+    """`share` of b and the rest of a."""
+    red, green, blue = (round(x + share * (y - x)) for x, y in zip(a, b, strict=True))
+    return red, green, blue
+
+
+def faded(rgb: RGB, share: float) -> RGB:
+    """`rgb` with `share` of it replaced by the background: transparency, where a view has none."""
+    return mix(rgb, BACKGROUND, share)

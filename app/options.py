@@ -1,0 +1,182 @@
+"""The options of the command line that say what the world is, what the filters do and what is written.
+
+None means: not given, so the world's or log's own value holds.  Degrees here are radians everywhere else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import tyro
+
+from app import values
+from app.errors import UsageError
+from scenarios.types import Source
+from slam.limits import BELIEVED_SENSOR, DEVIATION, PARAMS, Interval
+from slam.types import AssociationName, Noise, Params, ProposalWeightName, ResamplerName, WeightingName
+
+FILTERS = ("dfs", "fs2", "fs1", "ekf")
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {  # the honest R, every observation counted in full, one gate; the rest as in its baseline code
+        "temper": 1.0,
+        "inflate_r": 1.0,
+        "log_p_new": 0.0,
+        "gate_known": 1.0,
+        "gate_new": 0.0,
+        "weighting": "marginal",
+        "proposal_weight": "drawn",
+        "resampler": "stratified",
+        "resample_below": 0.75,
+    }
+}
+
+
+def default(text: str) -> Any:
+    """What the help says of an option that was not given."""
+    return tyro.conf.arg(help_behavior_hint=f"(default: {text})")
+
+
+def named(name: str, text: str) -> Any:
+    """An option whose field cannot have its name, and what the help says if it was not given."""
+    return tyro.conf.arg(name=name, help_behavior_hint=f"(default: {text})")
+
+
+_USUAL = {field.name: default(str(field.default)) for field in dataclasses.fields(Params)}
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """What the filters do. Worlds and logs may have defaults of their own: dualslam worlds NAME."""
+
+    particles: Annotated[int | None, values.whole("--particles", "K", PARAMS["particles"]), _USUAL["particles"]] = None
+    """Number of particles."""
+    association: Annotated[
+        str | None, values.choice("--association", get_args(AssociationName)), _USUAL["association"]
+    ] = None
+    """Which landmark is it: told by its tag, the nearest, or jointly compatible (JCBB)."""
+    gate: Annotated[float | None, values.real("--gate", "P", PARAMS["gate"]), _USUAL["gate"]] = None
+    """Confidence of the gates of association."""
+    gate_known: Annotated[
+        float | None, values.real("--gate-known", "P", PARAMS["gate_known"]), _USUAL["gate_known"]
+    ] = None
+    """Known association: a tag is believed within this gate, else the observation is ignored; 1 is always."""
+    gate_new: Annotated[float | None, values.real("--gate-new", "P", PARAMS["gate_new"]), _USUAL["gate_new"]] = None
+    """An unmatched observation within this wider gate of some landmark is ignored, not new; up to --gate is never."""
+    weighting: Annotated[str | None, values.choice("--weighting", get_args(WeightingName)), _USUAL["weighting"]] = None
+    """Dual FastSLAM: several observations weigh as in the paper (marginal), or by their exact likelihood (joint)."""
+    proposal_weight: Annotated[
+        str | None, values.choice("--proposal-weight", get_args(ProposalWeightName)), _USUAL["proposal_weight"]
+    ] = None
+    """FastSLAM 2.0: its proposal is weighed integrated over the draw, or as drawn (the paper's baseline code)."""
+    inflate_r: Annotated[float | None, values.real("--inflate-r", "X", PARAMS["inflate_r"]), _USUAL["inflate_r"]] = None
+    """Factor on the covariance R wherever known landmarks are used."""
+    temper: Annotated[float | None, values.real("--temper", "X", PARAMS["temper"]), _USUAL["temper"]] = None
+    """Exponent on the likelihood of an observation; 1 is the paper."""
+    log_p_new: Annotated[float | None, values.real("--log-p-new", "X", PARAMS["log_p_new"]), _USUAL["log_p_new"]] = None
+    """Added to the log weight for every observation taken for a new landmark."""
+    resampler: Annotated[str | None, values.choice("--resampler", get_args(ResamplerName)), _USUAL["resampler"]] = None
+    """Resampling scheme."""
+    resample_below: Annotated[
+        float | None, values.real("--resample-below", "X", PARAMS["resample_below"]), _USUAL["resample_below"]
+    ] = None
+    """Resample when N_eff falls below this fraction of K: 0 never, 1 always."""
+    preset: Annotated[str | None, values.choice("--preset", tuple(PRESETS), later=("building",)), default("none")] = (
+        None
+    )
+    """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate."""
+
+
+@dataclass(frozen=True)
+class WorldNoise:
+    """What the world is: the deviations of its noise. A log has its noise already."""
+
+    speed: Annotated[float | None, values.real("--noise.speed", "M/S", DEVIATION), default("the world's")] = None
+    """Of the speed in a control tick."""
+    turn: Annotated[float | None, values.real("--noise.turn", "DEG/S", DEVIATION), default("the world's")] = None
+    """Of the turn rate; for an Ackermann vehicle of the steering, in degrees."""
+    range: Annotated[float | None, values.real("--noise.range", "M", DEVIATION), default("the world's")] = None
+    """Of a measured range."""
+    bearing: Annotated[float | None, values.real("--noise.bearing", "DEG", DEVIATION), default("the world's")] = None
+    """Of a measured bearing."""
+
+
+_FOLLOWS = default("follows the world")
+
+
+@dataclass(frozen=True)
+class BelievedNoise:
+    """What the filters believe: the same deviations, as their Q and R hold them."""
+
+    speed: Annotated[float | None, values.real("--believed.speed", "M/S", DEVIATION), _FOLLOWS] = None
+    """Of the speed in a control tick."""
+    turn: Annotated[float | None, values.real("--believed.turn", "DEG/S", DEVIATION), _FOLLOWS] = None
+    """Of the turn rate; for an Ackermann vehicle of the steering, in degrees."""
+    range: Annotated[float | None, values.real("--believed.range", "M", BELIEVED_SENSOR), _FOLLOWS] = None
+    """Of a measured range."""
+    bearing: Annotated[float | None, values.real("--believed.bearing", "DEG", BELIEVED_SENSOR), _FOLLOWS] = None
+    """Of a measured bearing."""
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """Which part of a log."""
+
+    robot: Annotated[int | None, values.whole("--robot", "N", Interval(0)), default("the first")] = None
+    """Which robot, for logs of several."""
+    first: Annotated[int | None, values.whole("--from", "N", Interval(0)), named("from", "0")] = None
+    """First observing step that is used."""
+    last: Annotated[int | None, values.whole("--to", "N", Interval(0)), named("to", "the last")] = None
+    """Last observing step that is used."""
+    every: Annotated[int | None, values.whole("--every", "N", Interval(1)), default("1")] = None
+    """Use every N-th observing step."""
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What is written."""
+
+    record: Annotated[Path | None, values.path("--record", "FILE.rrd"), default("not written")] = None
+    """All that happened, step by step, for the Rerun viewer: rerun FILE.rrd."""
+    summary: Annotated[Path | None, values.path("--summary", "FILE.json"), default("not written")] = None
+    """Numbers of every step and filter."""
+    trajectory: Annotated[Path | None, values.path("--trajectory", "DIR"), default("not written")] = None
+    """Paths for evo (.tum), maps as GeoJSON and SVG."""
+
+
+def parameters(
+    source: Source, filters: FilterOptions, noise: WorldNoise, believed: BelievedNoise
+) -> tuple[Noise, Params]:
+    """What the world is, and the filters' parameters: the source's own, then the preset's, then what was given."""
+    world = _typed(noise)
+    if source.kind == "log" and world:
+        name = next(iter(world))
+        raise UsageError(
+            f"--noise.{name} does not apply to {source.name}: a log has its noise already; "
+            f"--believed.{name} is what the filters believe of it"
+        )
+    belief = dataclasses.replace(source.params().believed, **world)
+    belief = dataclasses.replace(belief, **_typed(believed))
+    for name in ("range", "bearing"):
+        if getattr(belief, name) not in BELIEVED_SENSOR:
+            raise UsageError(
+                f"--noise.{name} is 0, but no filter can believe in a perfect sensor; "
+                f"expected --believed.{name} beside it"
+            )
+    preset = PRESETS[filters.preset] if filters.preset else {}
+    given = {name: value for name, value in vars(filters).items() if value is not None and name != "preset"}
+    return dataclasses.replace(source.noise, **world), source.params(**{**preset, **given, "believed": belief})
+
+
+def _typed(noise: WorldNoise | BelievedNoise) -> dict[str, float]:
+    """The deviations that were given, in SI units and radians."""
+    degrees = ("turn", "bearing")
+    return {
+        name: math.radians(value) if name in degrees else value
+        for name, value in vars(noise).items()
+        if value is not None
+    }

@@ -1,0 +1,33 @@
+"""Recording a session with Rerun, and reading recordings; the only folder that knows Rerun.
+
+A recording has the application id `dual-fastslam`, holds all filters of a session, and opens in any Rerun viewer
+(`blueprint`).  Its entities, with <filter> a short name such as `dfs`:
+
+    /world/truth/{robot,path,map}   /world/odometry/path   /world/scan
+    /world/<filter>/particles       positions, coloured by weight, and headings
+    /world/<filter>/ellipses        2-sigma pose covariance of every particle
+    /world/<filter>/map             the best particle's map with 2-sigma ellipses
+    /world/<filter>/maps            features of the maps of all particles
+    /world/<filter>/path            path of the best particle
+    /world/<filter>/lineages        all paths that lead to a living particle
+    /world/<filter>/{focus,best}    frames of the close-ups: about the estimate, about the best particle
+    /plots/<metric>/<filter>        a series for each measure of `metrics`
+    /plots/nees/{lower,upper}       95 % chi-square band; the same for nees_log10
+    /plots/n_eff/threshold          where resampling begins
+    /genealogy/<filter>             lines of descent over (step, slot)
+    /weights/<filter>               sorted weights times K
+    /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
+
+and timelines
+
+    step        observing steps from 1: particles as weighted, all else as it is after the step
+    sim_time    the same by the time of the world or log
+    stage       3 i - 2, 3 i - 1, 3 i: particles predicted, weighted and resampled in step i
+
+How much of a long run, or of many particles, is recorded: `limits`.
+"""
+
+from app.recording.errors import RecordingError, RecordingLost
+from app.recording.recorder import Recorder
+
+__all__ = ["Recorder", "RecordingError", "RecordingLost"]

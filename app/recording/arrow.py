@@ -1,0 +1,48 @@
+"""Arrays in the form in which Rerun stores them.
+
+Rerun takes Python values of many forms and finds out which it was given, strip by strip; for some thousand lines and
+points a step that takes several times longer than all the rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from slam.types import Floats
+
+_STRIPS2 = rr.components.LineStrip2DBatch([]).as_arrow_array().type
+_STRIPS3 = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+_VECTORS = rr.components.Position3DBatch([]).as_arrow_array().type
+
+
+def vectors(xy: Floats, z: float | Floats = 0.0) -> pa.Array:
+    """(n, >= 2) and a height, or (n,) heights, as 3D vectors in single precision."""
+    return _fixed(_lifted(xy, z), _VECTORS)
+
+
+def strips(rows: Floats, lengths: list[int], z: float | None = None) -> pa.Array:
+    """Lines through the points rows (n, >= 2), one after the other with so many points, in the plane or at height z."""
+    kind, width = (_STRIPS2, 2) if z is None else (_STRIPS3, 3)
+    offsets = np.zeros(len(lengths) + 1, np.int32)
+    np.cumsum(lengths, out=offsets[1:])
+    flat = _fixed(_lifted(rows, z or 0.0)[:, :width], kind.value_type)
+    return pa.ListArray.from_arrays(pa.array(offsets), flat, type=kind)
+
+
+def colours(rgb: Floats) -> pa.Array:
+    """(n, 3) in 0..255 as packed colours."""
+    red, green, blue = np.asarray(rgb).astype(np.uint32).reshape(-1, 3).T
+    return pa.array((red << 24) | (green << 16) | (blue << 8) | np.uint32(255))
+
+
+def _lifted(xy: Floats, z: float | Floats) -> NDArray[np.float32]:
+    out = np.empty((len(xy), 3), np.float32)
+    out[:, :2], out[:, 2] = xy[:, :2], z
+    return out
+
+
+def _fixed(rows: NDArray[np.float32], kind: pa.DataType) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(rows).reshape(-1)), type=kind)

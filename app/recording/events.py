@@ -1,0 +1,128 @@
+"""What is worth telling about a step, in sentences with numbers and the reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from app.types import FilterUpdate, SessionStep
+from slam.types import Floats
+
+FEW = 0.1
+"""Share of K below which N_eff means that a filter is depleted of hypotheses."""
+
+QUIET = 10
+"""[steps] that something must have been away before its return is told."""
+
+LOOP = 40.0
+"""[m] of travel since a feature was last matched, after which matching it again closes a loop."""
+
+
+class Event(NamedTuple):
+    """One line of the log."""
+
+    level: str
+    """INFO or WARN."""
+    text: str
+    who: str = ""
+    """Key of the filter; none for the session."""
+
+
+class Watch:
+    """Turns steps into events.  What lasts, or comes and goes, is told when it begins and not at every step."""
+
+    def __init__(self, titles: dict[str, str]) -> None:
+        self._titles = titles
+        self._last: dict[tuple[str, str], int] = {}
+        """The last step at which something was so."""
+        self._travelled = 0.0
+        self._odometry: Floats | None = None
+        self._matched: dict[str, dict[int, float]] = {}
+        """For each filter and feature of its best map, how far the robot had travelled when it was last matched."""
+
+    def step(self, step: SessionStep) -> list[Event]:
+        """The events of this step, in the order of cause and effect."""
+        if self._odometry is not None:
+            self._travelled += math.dist(self._odometry[:2], step.odometry[:2])
+        self._odometry = step.odometry
+        events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
+        for key, update in step.filters.items():
+            told = self._of_filter(key, update, step)
+            events += [Event(level, f"{self._titles[key]} {text}", key) for level, text in told]
+        return events
+
+    def _of_filter(self, key: str, update: FilterUpdate, step: SessionStep) -> Iterator[tuple[str, str]]:
+        trace, measures = update.trace, update.measures
+        K = len(trace.weighted.log_w)
+        for sentence in trace.events:
+            if self._begins(key, sentence, True, step.index):
+                yield "WARN", f"reports: {sentence}"
+        if self._begins(key, "association lost", bool(measures.wrong or measures.missed), step.index):
+            yield "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
+        gaps = self._gaps(key, update)
+        if self._begins(key, "loop closed", bool(gaps), step.index):
+            yield "INFO", _loop_closed(gaps)
+        if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
+            yield "WARN", "has an infinite NEES: its particles agree on one position, and the truth is another"
+        if K == 1:
+            return
+        if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
+            heaviest = float(np.exp(trace.weighted.log_w.max()))
+            yield (
+                "WARN",
+                f"is depleted: N_eff fell to {trace.n_eff:.1f} of {K}, one particle holds {heaviest:.0%} of the weight",
+            )
+        if trace.did_resample:
+            yield "INFO", _resampled(update, step.params.resample_below)
+        if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
+            yield "WARN", f"has one founder left: all {K} particles share one past, up to {_age(update)}"
+
+    def _gaps(self, key: str, update: FilterUpdate) -> list[float]:
+        """[m] of travel since each matched feature of the best map was matched before, where that closes a loop."""
+        matched = self._matched.setdefault(key, {})
+        n = update.trace.n[update.measures.best]
+        features = [int(feature) for feature in n if feature >= 0]
+        gaps = [self._travelled - matched.get(feature, self._travelled) for feature in features]
+        created = range(update.trace.predicted.maps.counts[update.measures.best], update.measures.features)
+        matched.update(dict.fromkeys([*features, *created], self._travelled))
+        return [gap for gap in gaps if gap >= LOOP]
+
+    def _begins(self, key: str, what: str, present: bool, index: int) -> bool:
+        """Whether something is there that was not there in the last steps."""
+        if not present:
+            return False
+        before = self._last.get((key, what))
+        self._last[key, what] = index
+        return before is None or index - before > QUIET
+
+
+def _association_lost(correct: int, wrong: int, missed: int) -> str:
+    parts = []
+    if wrong:
+        parts.append(f"{wrong} paired with something else")
+    if missed:
+        parts.append(f"{missed} not recognised")
+    return f"lost association: of {correct + wrong + missed} things seen that its best map knows, {' and '.join(parts)}"
+
+
+def _loop_closed(gaps: list[float]) -> str:
+    what = "a feature" if len(gaps) == 1 else f"{len(gaps)} features"
+    return f"closed a loop: {what} of its best map matched again after {max(gaps):.0f} m"
+
+
+def _resampled(update: FilterUpdate, threshold: float) -> str:
+    trace = update.trace
+    K, children = len(trace.weighted.log_w), np.bincount(trace.selected)
+    reason = f"< {threshold:.0%} of {K}" if threshold < 1.0 else f"of {K}"
+    return (
+        f"resampled: N_eff {trace.n_eff:.1f} {reason}; {np.count_nonzero(children)} live on, "
+        f"one {children.max()} times; {update.measures.diversity:.0%} of the founders left"
+    )
+
+
+def _age(update: FilterUpdate) -> str:
+    age = update.measures.common_ancestor_age
+    return "the present" if age == 0 else f"{age:.0f} step{'s' if age > 1 else ''} ago"

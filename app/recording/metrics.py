@@ -1,0 +1,73 @@
+"""The measures that are plotted: their names in entity paths, their titles, and where they come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from app.types import FilterUpdate
+
+
+class Metric(NamedTuple):
+    """One measure of every filter: the series `/plots/<name>/<filter>`."""
+
+    name: str
+    title: str
+    """Of the view, with the unit."""
+    value: Callable[[FilterUpdate], float]
+    needs_truth: bool = False
+    population: bool = False
+    """Says something about many particles: not shown of a filter that has one."""
+
+
+LONERS = frozenset({"ekf"})
+"""Filters of one particle, whatever K is: of those there is no population to show."""
+
+LOG_NEES_RANGE = (-2.0, 6.0)
+
+
+def log_nees(value: float) -> float:
+    """The logarithm that is plotted: infinity (a collapsed mixture) and zero lie on the border of the plot."""
+    low, high = LOG_NEES_RANGE
+    if math.isnan(value):
+        return value
+    return min(max(math.log10(value) if value > 0.0 else low, low), high)
+
+
+METRICS = (
+    Metric("n_eff", "N_eff [particles] (grey: resampling below)", lambda u: u.measures.n_eff, population=True),
+    Metric("diversity", "Diversity [share of founders left]", lambda u: u.measures.diversity, population=True),
+    Metric("nees", "NEES of the position", lambda u: u.measures.nees_position, needs_truth=True),
+    Metric(
+        "nees_log10",
+        "log₁₀ NEES of the position (grey: 95 % band)",
+        lambda u: log_nees(u.measures.nees_position),
+        needs_truth=True,
+    ),
+    Metric("position_error", "Position error [m]", lambda u: u.measures.position_error_m, needs_truth=True),
+    Metric(
+        "heading_error",
+        "Heading error [degrees]",
+        lambda u: math.degrees(u.measures.heading_error_rad),
+        needs_truth=True,
+    ),
+    Metric("map_error", "Map error, aligned [m]", lambda u: u.measures.map_error_m, needs_truth=True),
+    Metric("features", "Features in the best map", lambda u: float(u.measures.features)),
+    Metric("duplicates", "Duplicate features in the best map", lambda u: float(u.measures.duplicates)),
+    Metric(
+        "common_ancestor",
+        "Age of the common ancestor [steps]",
+        lambda u: u.measures.common_ancestor_age,
+        population=True,
+    ),
+    Metric("update_ms", "Time of a step [ms]", lambda u: 1e3 * u.seconds),
+)
+
+BY_NAME = {metric.name: metric for metric in METRICS}
+
+
+def populations(keys: Iterable[str]) -> list[str]:
+    """The filters whose weights and ancestry are worth a picture; all, if none is."""
+    keys = list(keys)
+    return [k for k in keys if k not in LONERS] or keys

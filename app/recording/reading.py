@@ -1,0 +1,175 @@
+"""Reading recordings, also those of a run that was killed or of a disk that was full."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from app.recording.errors import MAGIC, RecordingError
+from slam.types import Floats, Ints
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk, RrdReader
+
+SCALAR, SESSION = "Scalars:scalars", "/__properties/session"
+PATIENCE = 600.0
+"""[s] for the repair of a large file."""
+
+
+class Event(NamedTuple):
+    """A line of `/events`."""
+
+    step: int
+    level: str
+    text: str
+
+
+class Recording:
+    """What a recording holds.  Reads the file once, when it is opened; a damaged one up to the damage."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        _check(self.path)
+        with _readable(self.path) as chunks:
+            self._chunks: dict[str, list[Chunk]] = {}
+            for chunk in chunks:
+                self._chunks.setdefault(chunk.entity_path, []).append(chunk)
+        if SESSION not in self._chunks:
+            raise RecordingError(f"{self.path} is a Rerun recording, but not one of dualslam")
+
+    @property
+    def entities(self) -> list[str]:
+        """Paths of all entities, sorted."""
+        return sorted(self._chunks)
+
+    def timelines(self, entity: str) -> set[str]:
+        """The timelines that an entity has data on; none if it is static only."""
+        return {name for chunk in self._chunks.get(entity, ()) for name in chunk.timeline_names}
+
+    def params(self) -> dict[str, Any]:
+        """Everything that the session was made with, as `texts.description` gives it."""
+        for _, (text,) in self._rows(SESSION, "json"):
+            return json.loads(text)
+        raise RecordingError(f"{self.path} does not say what it was made with")
+
+    def filters(self) -> list[str]:
+        """Keys of the filters, in the order in which they were asked for."""
+        return [f["key"] for f in self.params()["filters"]]
+
+    def series(self, entity: str, timeline: str = "step") -> tuple[Ints | Floats, Floats]:
+        """A plotted series such as `/plots/n_eff/dfs`: times (T,) (steps; seconds for `sim_time`) and values (T,)."""
+        rows = [(t, values[0]) for t, values in self._rows(entity, SCALAR, timeline) if len(values)]
+        if not rows:
+            raise RecordingError(f"{self.path} has no series {entity} on the timeline {timeline}")
+        times, values = (np.array(column) for column in zip(*sorted(rows, key=lambda r: r[0]), strict=True))
+        return times * 1e-9 if timeline == "sim_time" else times, values.astype(float)
+
+    def events(self) -> list[Event]:
+        """All events, in order."""
+        texts = self._rows("/events", "TextLog:text", "step")
+        levels = self._rows("/events", "TextLog:level", "step")
+        return [Event(int(t), level[0], text[0]) for (t, text), (_, level) in zip(texts, levels, strict=True)]
+
+    def rows(self, entity: str, component: str, timeline: str = "stage") -> list[tuple[int, list[Any]]]:
+        """Every value of a component such as `Points3D:positions`, with its time, in order of time."""
+        return sorted(self._rows(entity, component, timeline), key=lambda row: row[0])
+
+    def _rows(self, entity: str, component: str, timeline: str | None = None) -> list[tuple[int, list[Any]]]:
+        import pyarrow as pa
+
+        found = []
+        for chunk in self._chunks.get(entity, ()):
+            batch = chunk.to_record_batch()
+            if component not in batch.schema.names or (timeline and timeline not in batch.schema.names):
+                continue
+            times = batch.column(timeline).cast(pa.int64()).to_pylist() if timeline else [0] * batch.num_rows
+            values = batch.column(component).to_pylist()
+            found += [(t, v) for t, v in zip(times, values, strict=True) if v is not None]
+        return found
+
+
+def read_series(path: str | Path, entity: str, timeline: str = "step") -> tuple[Ints | Floats, Floats]:
+    """`Recording.series` of one file."""
+    return Recording(path).series(entity, timeline)
+
+
+def read_params(path: str | Path) -> dict[str, Any]:
+    """`Recording.params` of one file."""
+    return Recording(path).params()
+
+
+def repair(path: str | Path, out: str | Path | None = None) -> Path:
+    """Write what can be read of a damaged recording to `out`, by default `<name>-repaired.rrd` beside it; say where."""
+    path = Path(path)
+    _check(path)
+    out = path.with_name(f"{path.stem}-repaired.rrd") if out is None else Path(out)
+    done = subprocess.run(
+        [str(_binary()), "rrd", "optimize", str(path), "-o", str(out)],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    if done.returncode != 0 or not out.exists():
+        reason = (done.stderr.strip().splitlines() or ["nothing in it can be read"])[-1]
+        raise RecordingError(f"{path} cannot be repaired: {reason}")
+    return out
+
+
+def _check(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC))
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {(error.strerror or str(error)).lower()}") from None
+    if start != MAGIC:
+        raise RecordingError(f"{path} is empty" if not start else f"{path} is no Rerun recording")
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[list[Chunk]]:
+    """The chunks of a file; of one that is cut in the middle of a chunk, those of a repaired copy."""
+    try:
+        yield _chunks(path)
+        return
+    except (RuntimeError, ValueError):
+        pass
+    with tempfile.TemporaryDirectory() as folder:
+        repaired = repair(path, Path(folder) / "repaired.rrd")
+        try:
+            yield _chunks(repaired)
+        except (RuntimeError, ValueError) as error:
+            raise RecordingError(f"{path} cannot be read: {error}") from None
+
+
+def _chunks(path: Path) -> list[Chunk]:
+    reader = open_reader(path)
+    try:
+        return reader.store().stream().to_chunks()  # by the index at the end of a complete file
+    except RuntimeError:
+        return reader.stream().to_chunks()
+
+
+def open_reader(path: Path) -> RrdReader:
+    """Rerun's reader, without its warning of files that have no index."""
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return RrdReader(path)
+
+
+def _binary() -> Path:
+    """Rerun's own program, which comes with the package."""
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    return next((p for p in (folder / "rerun", folder / "rerun.exe") if p.exists()), folder / "rerun")

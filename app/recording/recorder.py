@@ -1,0 +1,44 @@
+"""The observer that writes a session to a Rerun recording, as `app.recording` describes it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.recording.stream import check_path
+from app.types import SessionInfo, SessionStep
+
+if TYPE_CHECKING:
+    from app.recording.writer import Writer
+
+
+class Recorder:
+    """Records a session to the file `path`.
+
+    Raises `RecordingError` here or from `begin` if that is impossible; `RecordingLost`, once, from `step` or `end` if
+    the file cannot be written any further (a full disk): what it held until then is kept.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        check_path(self.path)
+        self._writer: Writer | None = None
+
+    def begin(self, info: SessionInfo) -> None:
+        """Open the file and write what does not change."""
+        os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised here as `RecordingLost`
+        from app.recording.writer import Writer  # importing Rerun takes a second: only who records pays for it
+
+        self._writer = Writer(info, self.path)
+
+    def step(self, step: SessionStep) -> None:
+        """Write one observing step."""
+        if self._writer is not None:
+            self._writer.step(step)
+
+    def end(self) -> None:
+        """Complete the file."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.close()

@@ -1,0 +1,222 @@
+"""What the map views show: values of a step as Rerun's points, arrows, ellipses and lines.
+
+Everything lies in the plane of the map, y up, in layers a hair's breadth apart, since the views look straight down on
+it and what is nearer is drawn on top.  Dots and lines have their size on the screen, so that they show at any zoom;
+ellipses and headings are to scale.  How things look is written once, as static data (`looks`); what changes is written
+with each step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from app import colours
+from app.colours import RGB
+from app.recording import arrow
+from app.recording.limits import Limits, sample, thinned, thinned_tree
+from slam.genealogy import Genealogy
+from slam.geometry import ellipse_axes
+from slam.types import Floats, Particles
+
+SIGMAS = 2.0
+"""Size of every ellipse, in standard deviations."""
+
+CLOSE_HEIGHT = 5.0
+"""Height of the eye in close-ups, in squares of the grid."""
+
+FLAT = 1e-6
+"""[m] half height of an ellipse: an ellipsoid that is seen from above."""
+
+LIFT = 1e-4
+"""Between two layers, over the distance of the eye: the least that viewers, measured, reliably tell apart is 6e-5."""
+
+SCAN, TRUTH_MAP, ODOMETRY, TRUTH = range(2, 6)
+"""Heights, in lifts, of what is no filter: above the grid, beneath all of them."""
+
+MAPS, LINEAGES, MAP_ELLIPSES, PATH, MAP, ELLIPSES, PARTICLES = range(2, 9)
+"""Layers of the filters, from below."""
+
+
+class Style(NamedTuple):
+    """How one filter is drawn."""
+
+    rgb: RGB
+    rank: int
+    """0 is drawn on top and smallest, so that the filters below it show as rings around it."""
+    lift: float
+    """[m] between two layers."""
+
+    def z(self, layer: int) -> float:
+        """[m] height of a layer of this filter."""
+        return self.lift * (4 * layer + 3 - min(self.rank, 3))
+
+
+def crowding(landmarks: int) -> float:
+    """Factor on the size of dots for features, so that those of many landmarks do not become one blot."""
+    return min(1.0, max(0.3, math.sqrt(80.0 / max(landmarks, 1))))
+
+
+def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
+    """Colours and sizes of the entities of a filter, by the last part of their path."""
+    rgb, rank = style.rgb, style.rank
+    return {
+        "particles": [
+            rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.0 + 0.8 * rank)),
+            rr.Arrows3D.from_fields(colors=colours.faded(rgb, 0.35), radii=rr.Radius.ui_points(0.6)),
+        ],
+        "ellipses": [rr.Ellipsoids3D.from_fields(colors=(*rgb, 14), fill_mode="solid")],
+        "map": [
+            _dots(rgb, crowd * (2.5 + 0.8 * rank)),
+            rr.Ellipsoids3D.from_fields(colors=(*rgb, 40), fill_mode="solid"),
+        ],
+        "maps": [_dots(colours.faded(rgb, 0.4), 1.2)],
+        "path": [_strokes(rgb, 1.4 + 0.9 * rank)],
+        "lineages": [_strokes(None, 1.0)],
+    }
+
+
+def looks_of_surroundings(crowd: float) -> dict[str, list[Any]]:
+    """The same for what is no filter, by path below /world."""
+    white, yellow = colours.TRUTH_ON_DARK, colours.faded(colours.WARNING, 0.55)
+    return {
+        "truth/robot": [_dots(white, 4.0), rr.Arrows3D.from_fields(colors=white, radii=rr.Radius.ui_points(1.2))],
+        "truth/path": [_strokes(white, 1.2)],
+        "truth/map": [_dots(colours.faded(white, 0.35), crowd * 6.0)],
+        "odometry/path": [_strokes(colours.ODOMETRY, 1.2)],
+        "scan": [_strokes(yellow, 0.8), _dots(yellow, 1.5)],
+    }
+
+
+def points(xy: Floats, z: float) -> rr.Points3D:
+    """xy (n, >= 2) [m]."""
+    return rr.Points3D.from_fields(positions=arrow.vectors(xy, z))
+
+
+def lines(paths: list[Floats], z: float) -> rr.LineStrips3D:
+    """Paths (m, >= 2) [m]."""
+    return rr.LineStrips3D.from_fields(strips=_strips(paths, z))
+
+
+def ellipses(xy: Floats, covariance: Floats, z: float) -> rr.Ellipsoids3D:
+    """2-sigma ellipses of covariances (n, 2, 2) [m^2] about xy (n, >= 2); those without any extent are left out."""
+    half, direction = ellipse_axes(covariance)
+    seen = half[:, 0] > 0.0
+    half, direction, xy = half[seen], direction[seen], xy[seen]
+    quaternions = np.zeros((len(xy), 4), np.float32)
+    quaternions[:, 2], quaternions[:, 3] = np.sin(0.5 * direction), np.cos(0.5 * direction)
+    return rr.Ellipsoids3D.from_fields(
+        centers=arrow.vectors(xy, z), half_sizes=arrow.vectors(SIGMAS * half, FLAT), quaternions=quaternions
+    )
+
+
+def particles(p: Particles, shown: Limits, best: int, unit: float, style: Style) -> tuple[rr.Points3D, rr.Arrows3D]:
+    """Positions, coloured by weight: faint below 1/K, the filter's hue at 1/K, white above; and headings.
+
+    Arrows are in proportion to `unit` [m], the mesh of the close-up, since headings are looked at there.
+    """
+    dots, pointers = sample(len(p.s), shown.particles, best), sample(len(p.s), shown.arrows, best)
+    with np.errstate(under="ignore"):
+        brightness = np.clip((p.log_w[dots] + math.log(len(p.s))) / math.log(100.0), -1.0, 1.0)
+    z, heading = style.z(PARTICLES), p.s[pointers, 2]
+    return (
+        rr.Points3D.from_fields(
+            positions=arrow.vectors(p.s[dots], z + 0.2 * style.lift * brightness),
+            colors=arrow.colours(_by_weight(style.rgb, brightness)),
+        ),
+        rr.Arrows3D.from_fields(
+            origins=arrow.vectors(p.s[pointers], z - 0.5 * style.lift),
+            vectors=arrow.vectors(0.3 * unit * np.stack([np.cos(heading), np.sin(heading)], axis=1)),
+        ),
+    )
+
+
+def particle_ellipses(p: Particles, shown: Limits, best: int, style: Style) -> rr.Ellipsoids3D:
+    """Pose covariance of the particles; nothing where they are mere samples (FastSLAM after its draw)."""
+    chosen = sample(len(p.s), shown.ellipses, best)
+    return ellipses(p.s[chosen], p.P[chosen, :2, :2], style.z(ELLIPSES))
+
+
+def feature_map(theta: Floats, Sigma: Floats, style: Style) -> tuple[rr.Points3D, rr.Ellipsoids3D]:
+    """Features theta (n, >= 2) [m] of one map, with their covariance (n, 2, 2)."""
+    return points(theta, style.z(MAP)), ellipses(theta, Sigma[:, :2, :2], style.z(MAP_ELLIPSES))
+
+
+def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips3D:
+    """All surviving paths: the more of the living particles descend through a branch, the brighter it is."""
+    branches, rows, lengths = thinned_tree(genealogy.branches(), genealogy.steps, 4 * shown.vertices)
+    living = np.array([b.living for b in branches], float)
+    shades = _faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
+    strips = arrow.strips(rows, lengths, style.z(LINEAGES))
+    return rr.LineStrips3D.from_fields(strips=strips, colors=arrow.colours(shades))
+
+
+def path(poses: Floats, shown: Limits, style: Style) -> rr.LineStrips3D:
+    """The path of the best particle (T, 3)."""
+    return lines([thinned(poses, shown.vertices)], style.z(PATH))
+
+
+def robot(pose: Floats, z: float, length: float) -> tuple[rr.Points3D, rr.Arrows3D]:
+    """A pose (3,) as a dot and an arrow [m]; without the arrow where the heading is NaN."""
+    headed = pose[None, :] if np.isfinite(pose[2]) else np.zeros((0, 3))
+    vector = length * np.stack([np.cos(headed[:, 2]), np.sin(headed[:, 2])], axis=1)
+    pointer = rr.Arrows3D.from_fields(origins=arrow.vectors(headed, z), vectors=arrow.vectors(vector))
+    return points(pose[None, :], z), pointer
+
+
+def rays(origin: Floats, ends: Floats, z: float) -> tuple[rr.LineStrips3D, rr.Points3D]:
+    """Observations: lines from origin (2,) to ends (Z, 2) [m]."""
+    return lines([np.stack([origin, end]) for end in ends], z), points(ends, z)
+
+
+def close_up(centre: Floats, unit: float, height: float) -> rr.Transform3D:
+    """A frame about centre (2,) [m] whose unit in the plane is `unit` [m]; the close-up sees it from a fixed height.
+
+    Its unit upwards is another, so that the layers are as far apart, for an eye at CLOSE_HEIGHT, as they are for that
+    which sees the whole map from `height` [m].
+    """
+    return rr.Transform3D(translation=[*centre, 0.0], scale=[unit, unit, height / CLOSE_HEIGHT])
+
+
+def close_up_label(unit: float) -> rr.Points3D:
+    """How large the squares of the close-up's grid are; in the frame of `close_up`."""
+    text = f"{unit:g} m" if unit >= 1.0 else f"{100 * unit:g} cm" if unit >= 0.01 else f"{1000 * unit:g} mm"
+    place = [[0.0, -2.2, 0.0]]
+    return rr.Points3D(place, labels=f"one square: {text}", show_labels=True, radii=0.0, colors=(200, 200, 200))
+
+
+def nice(length: float) -> float:
+    """The next of 1, 2, 5, 10 ... [m] that is not below `length`."""
+    if not (math.isfinite(length) and length > 0.0):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if f * power >= length * (1 - 1e-9))
+
+
+def _strips(paths: list[Floats], z: float) -> pa.Array:
+    rows = np.concatenate([p[:, :2] for p in paths]) if paths else np.zeros((0, 2))
+    return arrow.strips(rows, [len(p) for p in paths], z)
+
+
+def _dots(rgb: RGB, radius: float) -> rr.Points3D:
+    return rr.Points3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(radius))
+
+
+def _strokes(rgb: RGB | None, width: float) -> rr.LineStrips3D:
+    return rr.LineStrips3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(0.5 * width))
+
+
+def _faded(rgb: RGB, share: Floats) -> Floats:
+    """(n, 3) colours, of which `share` (n,) is replaced by the background."""
+    return np.array(rgb) + share[:, None] * (np.array(colours.BACKGROUND) - np.array(rgb))
+
+
+def _by_weight(rgb: RGB, brightness: Floats) -> Floats:
+    """(n, 3) colours for brightness (n,) in -1..1."""
+    b = brightness[:, None]
+    white = np.array(colours.mix(rgb, (255, 255, 255), 0.85))
+    return np.where(b < 0, _faded(rgb, -0.7 * brightness), np.array(rgb) + b * (white - np.array(rgb)))

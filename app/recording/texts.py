@@ -1,0 +1,125 @@
+"""The pages of a recording: what it is and how to read it, and everything that it was made with."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from app import colours
+from app.recording.limits import Limits
+from app.types import SessionInfo
+
+PAPER = (
+    "D. Rodriguez-Losada, P. San Segundo, F. Matia, L. Pedraza, *Dual FastSLAM: Dual Factorization of the Particle "
+    "Filter Based Solution of the Simultaneous Localization and Mapping Problem*, J. Intell. Robot. Syst. 55 (2009) "
+    "109-134"
+)
+PACKAGES = ("dual-fastslam-workbench", "numpy", "scipy", "numba", "rerun-sdk")
+
+
+def about(info: SessionInfo, shown: Limits) -> str:
+    """Markdown: what the recording is, how to read its views, where the methods come from."""
+    legend = "\n".join(f"- **{f.title}** is {colours.word(f.key)} (`{f.key}`). {f.reference}." for f in info.filters)
+    return f"""\
+# {info.source.title}
+
+{len(info.filters)} SLAM filters on identical data: the same controls, the same observations. The truth is white, dead
+reckoning grey, observations are dim yellow.
+
+{legend}
+
+The Dual FastSLAM paper: {PAPER}.
+
+## How to read it
+
+**Map.** Dots with a line are particles and their headings: faint where the weight is small, white where it is large.
+Ellipses are two standard deviations. Filters that agree show as rings around each other. The close-ups follow each
+filter's estimate and change their scale by themselves; the size of a square is written below. A filter is overconfident
+when the truth lies far outside of its particles. The tab of a filter adds the maps of all particles (faint dots) and
+all surviving paths: up to where they run together, the particles remember only one past. What the map of all filters
+hides for clarity can be switched on in the panel on the left.
+
+**Plots.** N_eff says how many particles still count; below the grey line the filter resamples. It is
+blind to copies: when all particles are clones of one, N_eff is K. Diversity is the share of the particles of the
+beginning that have descendants. NEES compares the error with what the filter believes of it:
+above the band it is overconfident, below it too modest. At the upper border of its plot it is infinite.
+
+**Ancestry.** Every line is a particle on its way from left to right; dim lines died out. **Weights** are times K,
+largest first: equal weights are a row of ones.
+
+**Timelines.** `step` has one picture for each observing step, with the weights of that step. `stage` has three:
+*predicted*, *weighted*, *resampled*; choose it in the panel below and go through them with the arrow keys. `sim_time`
+is the time of the world or log.
+
+## What is recorded
+
+All plots and events. Of the particles of each filter at most {shown.particles} are drawn ({shown.ellipses} with
+ellipse). Paths are redrawn every {_steps(shown.paths)}; lineages, ancestry and all maps every {_steps(shown.pictures)},
+with at most {shown.hypotheses} features of all maps.
+"""
+
+
+def description(info: SessionInfo, time_origin: float) -> dict[str, Any]:
+    """Everything that a session was made with, as JSON knows it; SI units and radians."""
+    return {
+        "schema": 1,
+        "world": info.source.name,
+        "title": info.source.title,
+        "kind": info.source.kind,
+        "options": _plain(info.source.options),
+        "seed": info.seed,
+        "steps": info.steps,
+        "command": info.command,
+        "filters": [{"key": f.key, "title": f.title, "reference": f.reference} for f in info.filters],
+        "params": dataclasses.asdict(info.params),
+        "noise": dataclasses.asdict(info.noise),
+        "start": [float(x) for x in info.source.start],
+        "time_origin_s": time_origin,
+        "versions": versions(),
+    }
+
+
+def parameter_page(description: dict[str, Any]) -> str:
+    """Markdown: the same as a table."""
+    rows = "\n".join(f"| {name} | {_cell(value)} |" for name, value in _flat(description))
+    return f"# Parameters\n\nSI units, angles in radians.\n\n| name | value |\n|---|---|\n{rows}\n"
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages whose version may change a result or a recording."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _steps(every: int) -> str:
+    return "step" if every == 1 else f"{every} steps"
+
+
+def _flat(value: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for name, inner in value.items():
+        if name == "filters":
+            rows.append((name, ", ".join(f["title"] for f in inner)))
+        elif isinstance(inner, dict):
+            rows += _flat(inner, f"{prefix}{name}.")
+        else:
+            rows.append((prefix + name, inner))
+    return rows
+
+
+def _cell(value: Any) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no word for becomes text."""
+    return json.loads(json.dumps(value, default=str))

@@ -1,0 +1,228 @@
+"""From a session to the entities of a recording: what is written when, and on which timelines."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from app import colours
+from app.recording import charts, scene, texts
+from app.recording.blueprint import MAP_ASPECT, layout
+from app.recording.events import Watch
+from app.recording.ground import extent_of, known, observer, seen
+from app.recording.limits import due, limits_for, thinned
+from app.recording.metrics import METRICS, log_nees, populations
+from app.recording.stream import Stream
+from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
+from slam.geometry import ellipse_axes
+from slam.metrics import nees_interval
+from slam.types import Floats, Particles
+
+EPOCH = 1e7
+"""[s] beyond which a log's clock counts from a distant past; `sim_time` then counts from the log's start."""
+
+SHARPEST = 1e-3
+"""[m] smallest square of a close-up's grid: single precision shows no more of a map."""
+
+GUIDES = {
+    "nees/lower": "95 % band",
+    "nees/upper": "95 % band",
+    "nees_log10/lower": "95 % band",
+    "nees_log10/upper": "95 % band",
+    "n_eff/threshold": "resampling below",
+}
+"""Series in `/plots` that belong to no filter."""
+
+GUIDE: colours.RGB = (140, 140, 140)
+LEVELS = {"INFO": None, "WARN": colours.WARNING}
+
+TRUTH_GAP = 2.0
+"""[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
+
+
+class Writer:
+    """One recording that is being written."""
+
+    def __init__(self, info: SessionInfo, path: Path) -> None:
+        self._info = info
+        self._limits = limits_for(info.steps)
+        self._watch = Watch({f.key: f.title for f in info.filters})
+        self._truth: list[list[Floats]] = []
+        """Stretches of the path along which the truth is known."""
+        self._truth_seen = -math.inf
+        """[s] when the truth was known last."""
+        self._odometry: list[Floats] = [np.asarray(info.source.start, float)]
+        first = info.source.steps[0].frame.time if info.source.steps else 0.0
+        self._time_origin = first if abs(first) > EPOCH else 0.0
+
+        extent = extent_of(info.source, info.steps)
+        self._size, self._height = extent.size, extent.eye_height(MAP_ASPECT)
+        self._lift = scene.LIFT * self._height
+        self._unit: dict[str, float] = {}
+        self._labelled: dict[str, float] = {}
+        keys = [f.key for f in info.filters]
+        self._styles = {k: scene.Style(colours.of_filter(k), rank, self._lift) for rank, k in enumerate(keys)}
+        self._many = populations(keys)
+        bands = charts.bands(len(self._many), info.steps)
+        self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
+        has_truth = any(known(s.truth) for s in info.source.steps[: info.steps])
+        title = f"{info.source.name}, seed {info.seed}"
+        self._stream = Stream(path, layout(info.filters, extent, has_truth), title)
+        self._write_static()
+        self._stream.begun()
+
+    def step(self, step: SessionStep) -> None:
+        """One observing step.
+
+        `stage` has three moments of it.  `step` and `sim_time` have one: the particles as they are weighted, and all
+        else as it is when the step is done.
+        """
+        stage = 3 * (step.index - 1) + 1
+        now = (step.index, step.frame.time - self._time_origin)
+
+        self._stream.set_time(stage, *now)
+        self._write_surroundings(step)
+        for key, update in step.filters.items():
+            self._write_focus(key, update, step.truth)
+
+        self._stream.set_time(stage)
+        for key, update in step.filters.items():
+            best = int(update.measures.best)
+            self._write_particles(key, update.trace.predicted, best)
+
+        self._stream.set_time(stage + 1, *now)
+        for key, update in step.filters.items():
+            weighted = update.trace.weighted
+            self._write_particles(key, weighted, int(update.measures.best))
+            bars = charts.weight_bars(weighted, self._limits, colours.of_filter(key))
+            self._stream.log(f"weights/{key}", bars)
+
+        self._stream.set_time(stage + 2)
+        for key, update in step.filters.items():
+            self._write_particles(key, update.trace.resampled, best_descendant(update))
+
+        self._stream.set_time(stage + 2, *now)
+        for key, update in step.filters.items():
+            self._write_memory(key, update, step.index)
+            for metric in METRICS:
+                self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
+        self._write_guides(step)
+        for event in self._watch.step(step):
+            line = rr.TextLog(
+                f"{step.index}: {event.text}",
+                level=event.level,
+                color=colours.of_filter(event.who) if event.who else None,
+            )
+            self._stream.log("events", line)
+        self._stream.check()
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._stream.close()
+
+    def _write_static(self) -> None:
+        info, log = self._info, self._stream.log_static
+        crowd = scene.crowding(0 if info.source.true_map is None else len(info.source.true_map.theta))
+        described = texts.description(info, self._time_origin)
+        self._stream.property("session", rr.AnyValues(json=json.dumps(described)))
+        for entity, page in {
+            "about": texts.about(info, self._limits),
+            "params": texts.parameter_page(described),
+        }.items():
+            log(entity, rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN))
+        if info.source.true_map is not None:
+            log("world/truth/map", scene.points(info.source.true_map.theta, scene.TRUTH_MAP * self._lift))
+        for entity, look in scene.looks_of_surroundings(crowd).items():
+            log(f"world/{entity}", *look)
+        for f in info.filters:
+            rgb = colours.of_filter(f.key)
+            for entity, look in scene.looks(self._styles[f.key], crowd).items():
+                log(f"world/{f.key}/{entity}", *look)
+            for metric in METRICS:
+                log(f"plots/{metric.name}/{f.key}", rr.SeriesLines(names=f.title, colors=rgb, widths=1.8))
+            if f.key in self._many:
+                log(f"genealogy/frame/{f.key}", *charts.ancestry_frame(self._bands[f.key], f.title, rgb))
+        for path, name in GUIDES.items():
+            log(f"plots/{path}", rr.SeriesLines(names=name, colors=GUIDE, widths=1.0))
+        log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
+
+    def _write_surroundings(self, step: SessionStep) -> None:
+        redraw = due(step.index, self._info.steps, self._limits.paths)
+        z, length, log = self._lift, self._size / 30, self._stream.log
+        if step.truth is not None and known(step.truth):
+            if step.frame.time - self._truth_seen > TRUTH_GAP:
+                self._truth.append([])
+            self._truth[-1].append(step.truth)
+            self._truth_seen = step.frame.time
+            log("world/truth/robot", *scene.robot(step.truth, scene.TRUTH * z, length))
+        elif self._truth and step.frame.time - self._truth_seen > TRUTH_GAP:
+            log("world/truth/robot", rr.Clear(recursive=False))  # nobody knows where it is
+        self._odometry.append(step.odometry)
+        if redraw and self._truth:
+            share = max(2, self._limits.vertices // len(self._truth))
+            paths = [thinned(np.array(stretch), share) for stretch in self._truth if len(stretch) > 1]
+            log("world/truth/path", scene.lines(paths, scene.TRUTH * z))
+        if redraw:
+            path = thinned(np.array(self._odometry), self._limits.vertices)
+            log("world/odometry/path", scene.lines([path], scene.ODOMETRY * z))
+        origin = observer(step)
+        log("world/scan", *scene.rays(origin[:2], seen(step.frame, origin), scene.SCAN * z))
+
+    def _write_focus(self, key: str, update: FilterUpdate, truth: Floats | None) -> None:
+        """Frames of the close-ups: one on particles and truth, however far apart, one on the best particle alone."""
+        measures, weighted = update.measures, update.trace.weighted
+        centre = measures.estimate[:2]
+        spread = _spread(measures.covariance)
+        if truth is not None and known(truth):
+            spread = max(spread, float(np.hypot(*(truth[:2] - centre))) / 2.0)
+        self._unit[key] = scene.nice(max(spread, SHARPEST))
+        best = int(measures.best)
+        own = _spread(weighted.P[best])
+        frames = {
+            "focus": (centre, self._unit[key]),
+            "best": (weighted.s[best, :2], scene.nice(max(own, SHARPEST)) if own > 0.0 else self._unit[key]),
+        }
+        for name, (middle, unit) in frames.items():
+            entity = f"world/{key}/{name}"
+            self._stream.log(entity, scene.close_up(middle, unit, self._height))
+            if self._labelled.get(entity) != unit:
+                self._stream.log(f"{entity}/scale", scene.close_up_label(unit))
+                self._labelled[entity] = unit
+
+    def _write_particles(self, key: str, particles: Particles, best: int) -> None:
+        style, log = self._styles[key], self._stream.log
+        log(f"world/{key}/particles", *scene.particles(particles, self._limits, best, self._unit[key], style))
+        log(f"world/{key}/ellipses", scene.particle_ellipses(particles, self._limits, best, style))
+
+    def _write_memory(self, key: str, update: FilterUpdate, index: int) -> None:
+        """What the filter remembers: maps, paths, ancestry."""
+        style, limits, log = self._styles[key], self._limits, self._stream.log
+        weighted, steps = update.trace.weighted, self._info.steps
+        picture = due(index, steps, limits.pictures)
+        if picture or update.measures.features <= limits.features:
+            theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
+            log(f"world/{key}/map", *scene.feature_map(theta, Sigma, style))
+        if due(index, steps, limits.paths):
+            log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
+        if picture:
+            _, theta = weighted.maps.everything(limits.hypotheses)
+            log(f"world/{key}/maps", scene.points(theta, style.z(scene.MAPS)))
+            log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
+            log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
+
+    def _write_guides(self, step: SessionStep) -> None:
+        """Two points would do for a straight line, but nobody knows which step will be the last."""
+        if due(step.index, self._info.steps, self._limits.pictures):
+            low, high = nees_interval(2)
+            values = (low, high, log_nees(low), log_nees(high), step.params.resample_below * step.params.particles)
+            for path, value in zip(GUIDES, values, strict=True):
+                self._stream.log(f"plots/{path}", rr.Scalars(value))
+
+
+def _spread(covariance: Floats) -> float:
+    """[m] two standard deviations in the worst direction of the plane; of a covariance (3, 3)."""
+    return scene.SIGMAS * float(ellipse_axes(covariance[:2, :2])[0][0])

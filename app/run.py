@@ -1,0 +1,193 @@
+"""`dualslam run WORLD|LOG`: filters on a world or a log, from the command line."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from tyro.conf import OmitArgPrefixes, Positional
+
+from app import report, session, values
+from app.errors import UsageError
+from app.files import check_directory, check_file, is_stdout
+from app.interrupt import Interrupts
+from app.options import (
+    FILTERS,
+    BelievedNoise,
+    FilterOptions,
+    LogOptions,
+    Outputs,
+    WorldNoise,
+    default,
+    parameters,
+)
+from app.sources import LogParts, load
+from app.summary import Summary
+from app.types import Observer, SessionInfo, SessionStep
+from slam.limits import Interval
+
+
+@dataclass(frozen=True)
+class Run:
+    """Run filters on a world or a log, on identical data, and report.
+
+    WORLD: a name (dualslam worlds) or a world file. LOG: the path of a real robot's log.
+
+    Worlds have options of their own, such as --vehicle: dualslam run WORLD --help.
+    """
+
+    source: Annotated[Positional[str], values.word("WORLD|LOG"), tyro.conf.arg(help_behavior_hint="")] = ""
+    """A world by name, a world file (.toml), or a log."""
+    filters: Annotated[tuple[str, ...], values.choices("--filters", "|".join(FILTERS), FILTERS)] = FILTERS[:3]
+    """Some of Dual FastSLAM (dfs), FastSLAM 2.0 (fs2), FastSLAM 1.0 (fs1), EKF-SLAM (ekf)."""
+    seed: Annotated[int, values.whole("--seed", "N", Interval(0))] = 0
+    """Of all random numbers: same seed, same results."""
+    steps: Annotated[int | None, values.whole("--steps", "N", Interval(1)), default("all")] = None
+    """Stop after N observing steps."""
+    features: Annotated[str, values.choice("--features", ("landmarks", "walls"))] = "landmarks"
+    """What the sensor sees of a world; walls are not there yet."""
+    align: bool = False
+    """Move the whole path rigidly onto the truth before errors are taken."""
+    filter: OmitArgPrefixes[FilterOptions] = field(default_factory=FilterOptions)
+    noise: WorldNoise = field(default_factory=WorldNoise)
+    believed: BelievedNoise = field(default_factory=BelievedNoise)
+    log: OmitArgPrefixes[LogOptions] = field(default_factory=LogOptions)
+    output: OmitArgPrefixes[Outputs] = field(default_factory=Outputs)
+
+    def __call__(self, own: dict[str, str], command: str) -> int:
+        """Run; `own` are the options that the world has of its own, as typed.  Returns the exit code."""
+        if not self.source:
+            raise UsageError(
+                "run needs a world or a log, such as: dualslam run loop (dualslam worlds lists the worlds)"
+            )
+        if self.features == "walls":
+            raise UsageError("--features is walls, which no world offers yet; expected landmarks")
+        _check(self.output, self.source)
+        info = self._info(own, command)
+        err = Console(stderr=True, highlight=False)
+        out = err if is_stdout(self.output.summary) else Console(highlight=False)  # JSON is not mixed with a table
+        for warning in info.source.warnings:
+            err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+        return self._run(info, out, err)
+
+    def _info(self, own: dict[str, str], command: str) -> session.SessionInfo:
+        from slam.estimators import ESTIMATORS  # numba takes its time to load
+
+        source = load(self.source, own, LogParts(*vars(self.log).values()))
+        noise, params = parameters(source, self.filter, self.noise, self.believed)
+        filters = [ESTIMATORS[key] for key in self.filters]
+        return session.make_info(source, filters, params, noise, self.seed, self.steps, command)
+
+    def _run(self, info: SessionInfo, out: Console, err: Console) -> int:
+        summary = Summary(self.output.summary, align=self.align)
+        outputs = self._outputs(summary)
+        observers: list[Observer] = [*outputs, report.ProgressBar(err)]
+        if self.output.summary is None:
+            observers.insert(0, summary)
+        try:
+            with Interrupts() as interrupts:
+                session.run(info, observers, interrupts=interrupts)
+        except KeyboardInterrupt:
+            _report(info, summary, outputs, out)
+            done = f"{len(summary.steps)} of {info.steps} steps"
+            saved = "; everything up to there is saved" if any(output.saved for output in outputs) else ""
+            err.print(f"interrupted after {done}{saved}", soft_wrap=True)
+            return 130
+        except BrokenPipeError:
+            raise
+        except Exception:  # what was found until then is not lost
+            _report(info, summary, outputs, out)
+            raise
+        _report(info, summary, outputs, out)
+        return 0
+
+    def _outputs(self, summary: Summary) -> list[Output]:
+        """What writes something."""
+        outputs = []
+        if self.output.summary is not None:
+            outputs.append(Output("summary", self.output.summary, summary))
+        if self.output.record is not None:
+            from app.recording import Recorder  # so does Rerun
+
+            outputs.append(Output("recording", self.output.record, Recorder(self.output.record)))
+        if self.output.trajectory is not None:
+            from app.trajectory import Trajectory
+
+            outputs.append(Output("paths and maps", self.output.trajectory, Trajectory(self.output.trajectory)))
+        return outputs
+
+
+class Output:
+    """An observer that writes something, and whether it could."""
+
+    def __init__(self, what: str, path: Path, observer: Observer) -> None:
+        self.what = what
+        self.path = path
+        self.saved = False
+        self._observer = observer
+        self._steps = 0
+        self._failed = False
+
+    def begin(self, info: SessionInfo) -> None:
+        """Before the first step."""
+        with self._watched():
+            self._observer.begin(info)
+
+    def step(self, step: SessionStep) -> None:
+        """After every observing step."""
+        self._steps += 1
+        with self._watched():
+            self._observer.step(step)
+
+    def end(self) -> None:
+        """After the last step."""
+        with self._watched():
+            self._observer.end()
+        self.saved = self._steps > 0 and not self._failed
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self._failed = True
+            raise
+
+
+def _report(info: SessionInfo, summary: Summary, outputs: Sequence[Output], out: Console) -> None:
+    if summary.steps:
+        report.print_report(info, summary, out)
+    for output in outputs:
+        if output.saved:
+            how = f"   (open it with: rerun {shlex.quote(str(output.path))})" if output.what == "recording" else ""
+            out.print(f"{output.what}: {output.path}{how}", soft_wrap=True, markup=False)
+
+
+def _check(output: Outputs, source: str) -> None:
+    """That everything can be written, before any work is done."""
+    files = {"--record": output.record, "--summary": output.summary}
+    paths = {option: path for option, path in files.items() if path is not None}
+    for option, path in paths.items():
+        check_file(option, path)
+        if path.exists() and Path(source).exists() and path.samefile(source):
+            raise UsageError(f"{option} {path} is the log itself; expected another file")
+    if output.summary is not None and _holds_something_else(output.summary):
+        raise UsageError(f"--summary {output.summary} exists and is no summary; it is not overwritten")
+    if len({path.resolve() for path in paths.values()}) < len(paths):
+        raise UsageError(f"--record and --summary are both {output.record}; expected two files")
+    if output.trajectory is not None:
+        check_directory("--trajectory", output.trajectory)
+
+
+def _holds_something_else(path: Path) -> bool:
+    """Whether something is there that is not JSON, such as a world file."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(64).lstrip()[:1] not in (b"", b"{")

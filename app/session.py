@@ -1,0 +1,201 @@
+"""A session: one source, several filters on identical data, and whoever watches.
+
+Everything that a session does follows from its `SessionInfo` and the parameters of each step.  Random numbers come from
+streams that are named by (seed, who, step): the world draws from its own, every filter from its own, and every step
+from a fresh one.  So neither K nor the set of filters changes the world or another filter, and a session can be taken
+up again from any earlier `State`, with other parameters, on the same random numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from app.compiling import CompileClock, uninterrupted_compilation
+from app.interrupt import Interrupts
+from app.types import FilterUpdate, Observer, SessionInfo, SessionStep
+from scenarios.noise import add_noise
+from scenarios.types import Source
+from slam.genealogy import Genealogy
+from slam.metrics import measure
+from slam.motion import propagate
+from slam.types import Estimator, Floats, Noise, Params, Particles
+
+WORLD = "world"
+
+
+class State(NamedTuple):
+    """Where a session stands between two steps.  A value: keep it, and go on from it as often as you like."""
+
+    done: int
+    """Number of steps."""
+    odometry: Floats
+    """(3,) dead reckoning."""
+    filters: dict[str, tuple[Any, Genealogy]]
+    """What each filter needs for its next step."""
+
+
+def stream(seed: int, who: str, step: int) -> np.random.Generator:
+    """The random numbers of one of the players in one step."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(step, *who.encode())))
+
+
+def start(info: SessionInfo) -> State:
+    """Before the first step."""
+    source = info.source
+    states: dict[str, tuple[Any, Genealogy]] = {}
+    for estimator in info.filters:
+        state = estimator.init(source.feature, source.start, source.start_covariance, info.params)
+        particles: Particles = getattr(state, "particles", state)  # an `EkfState` has them inside
+        states[estimator.key] = (state, Genealogy.start(particles.s))
+    return State(0, np.array(source.start, float), states)
+
+
+def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, SessionStep]:
+    """One observing step, all filters."""
+    index = state.done + 1
+    exact, truth = info.source.steps[state.done]
+    noisy = info.source.kind == "world"  # a log has its noise already
+    frame = add_noise(stream(info.seed, WORLD, index), exact, info.noise) if noisy else exact
+
+    odometry = state.odometry
+    for u, dt in zip(frame.u, frame.dt, strict=True):
+        odometry = np.array(propagate(frame.motion, odometry, u, dt)[0])
+
+    states: dict[str, tuple[Any, Genealogy]] = {}
+    updates: dict[str, FilterUpdate] = {}
+    for estimator in info.filters:
+        before, genealogy = state.filters[estimator.key]
+        rng = stream(info.seed, estimator.key, index)
+        with CompileClock() as compiling:
+            began = perf_counter()
+            after, trace = estimator.step(rng, before, frame, params)
+            seconds = perf_counter() - began - compiling.seconds
+        genealogy = genealogy.grow(trace.ancestors, trace.resampled.s)
+        measures = measure(trace, frame, truth, info.source.true_map, genealogy)
+        states[estimator.key] = (after, genealogy)
+        updates[estimator.key] = FilterUpdate(trace, seconds, measures, genealogy)
+
+    step = SessionStep(index, frame, truth, odometry, params, info.noise, updates)
+    return State(index, odometry, states), step
+
+
+def steps(info: SessionInfo, changes: Sequence[tuple[int, Params]] = ()) -> Iterator[SessionStep]:
+    """All steps of a session; `changes` are the parameters from a step on, applied at the top of it."""
+    due = dict(changes)
+    state, params = start(info), info.params
+    for index in range(1, info.steps + 1):
+        sentences: tuple[str, ...] = ()
+        if index in due:
+            sentences, params = describe_change(params, due[index]), due[index]
+        state, step = advance(info, state, params)
+        yield dataclasses.replace(step, changes=sentences)
+
+
+def make_info(
+    source: Source,
+    filters: Sequence[Estimator],
+    params: Params | None = None,
+    noise: Noise | None = None,
+    seed: int = 0,
+    count: int | None = None,
+    command: str = "",
+) -> SessionInfo:
+    """A session on `source`: by default with its own parameters and noise, and to its end (`count` steps at most)."""
+    total = len(source.steps) if count is None else min(count, len(source.steps))
+    return SessionInfo(source, tuple(filters), params or source.params(), noise or source.noise, seed, total, command)
+
+
+def run(
+    info: SessionInfo,
+    observers: Sequence[Observer] = (),
+    changes: Sequence[tuple[int, Params]] = (),
+    interrupts: Interrupts | None = None,
+) -> None:
+    """Run a session to its end.
+
+    Every observer that was begun is ended, whatever happens; several errors are raised as an `ExceptionGroup`.  With
+    `interrupts`, a signal stops the filters at once but never an observer in the middle of its work.
+    """
+    shield = interrupts.shield if interrupts else nullcontext
+    begun: list[Observer] = []
+    try:
+        for observer in observers:
+            with shield():
+                begun.append(observer)
+                observer.begin(info)
+        for step in _interruptible(steps(info, changes), interrupts or Interrupts()):
+            with shield():
+                for observer in observers:
+                    observer.step(step)
+    except Exception as error:
+        with shield():
+            _raise_all([error, *_end_all(begun)])
+    except BaseException:  # an interruption: the caller will say that all is saved, so it must be
+        with shield():
+            _raise_all(_end_all(begun))
+        raise
+    else:
+        with shield():
+            _raise_all(_end_all(begun))
+
+
+def _interruptible(found: Iterator[SessionStep], interrupts: Interrupts) -> Iterator[SessionStep]:
+    """The steps, up to an interruption, even if a library lost it or made another error of it."""
+    with uninterrupted_compilation(interrupts):
+        while True:
+            interrupts.check()
+            try:
+                step = next(found)
+            except StopIteration:
+                return
+            except Exception as error:
+                if interrupts.received:
+                    raise KeyboardInterrupt from error
+                raise
+            yield step
+
+
+def _end_all(observers: Sequence[Observer]) -> list[Exception]:
+    """End every observer, whatever happens to the others; returns what went wrong."""
+    errors: list[Exception] = []
+    for observer in observers:
+        try:
+            observer.end()
+        except Exception as error:
+            errors.append(error)
+    return errors
+
+
+def _raise_all(errors: Sequence[Exception]) -> None:
+    """Raise an error as it is, several as a group."""
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise ExceptionGroup("several things went wrong", errors)
+
+
+def describe_change(before: Params, after: Params) -> tuple[str, ...]:
+    """A sentence for every parameter that differs."""
+    return tuple(
+        f"{name}: {old} -> {new}"
+        for (name, old), new in zip(flat(before).items(), flat(after).values(), strict=True)
+        if old != new
+    )
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """The fields of nested dataclasses by dotted name: `{"particles": 100, "believed.range": 0.003, ...}`."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(value):
+        inner = getattr(value, field.name)
+        if dataclasses.is_dataclass(inner):
+            found |= flat(inner, f"{prefix}{field.name}.")
+        else:
+            found[prefix + field.name] = inner
+    return found

@@ -1,0 +1,77 @@
+"""What the studies have in common: options, and how results are shown and saved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from app import values
+from app.files import check_file, write_whole
+from app.options import default
+from app.report import print_whole
+from app.session import flat
+from app.study.jobs import cores
+from app.summary import dump, plain
+from slam.limits import Interval
+
+SCHEMA = 1
+
+MEANS = "± is the standard error of the mean"
+MEDIANS = "median (smallest-largest)"
+
+TITLES = {"dfs": "Dual FastSLAM", "fs2": "FastSLAM 2.0", "fs1": "FastSLAM 1.0", "ekf": "EKF-SLAM"}
+
+RunsOption = Annotated[int, values.whole("--runs", "N", Interval(1))]
+JobsOption = Annotated[int | None, values.whole("--jobs", "N", Interval(1, 256)), default("one for each core")]
+OutOption = Annotated[Path | None, values.path("--out", "FILE.json"), default("not written")]
+SeedOption = Annotated[int, values.whole("--seed", "N", Interval(0))]
+
+
+def begin(out: Path | None, jobs: int | None) -> int:
+    """Check the output before any work is done; returns the number of processes."""
+    if out is not None:
+        check_file("--out", out)
+    return cores() if jobs is None else jobs
+
+
+def finish(
+    study: Any,
+    name: str,
+    command: str,
+    results: dict[str, Any],
+    tables: list[Table],
+    runs: tuple[int, int],
+    stopped: bool,
+    note: str = MEANS,
+) -> int:
+    """Show the tables and the command that made them, save what there is; returns the exit code.
+
+    runs: how many were done of how many.
+    """
+    console = Console(highlight=False)
+    for table in tables:
+        print_whole(console, table)
+        console.print()
+    done, asked = runs
+    console.print(f"{note}; {done} of {asked} seeds\n{command}", soft_wrap=True, markup=False)
+    if study.out is not None:
+        options = {name: value for name, value in flat(study).items() if name not in ("out", "jobs")}
+        saved = {"schema": SCHEMA, "study": name, "command": command, "options": options, "seeds": done, **results}
+        write_whole(study.out, dump(plain(saved)))
+        console.print(f"saved: {study.out}", soft_wrap=True, markup=False)
+    if stopped:
+        kept = "shown" if study.out is None else "shown and saved"
+        Console(stderr=True).print(f"interrupted after {done} of {asked} seeds; these are {kept}", soft_wrap=True)
+    return 130 if stopped else 0
+
+
+def empty_table(title: str, first: str, *columns: str) -> Table:
+    """A table with names on the left and numbers on the right."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 2, 0, 0))
+    table.add_column(first, no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table

@@ -1,0 +1,99 @@
+"""What the log of a recording tells, and what happens to the file behind its back."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import session
+from app.recording import Recorder
+from app.recording.events import Watch
+from app.recording.pipe import Pipe
+from app.recording.reading import Recording
+from app.types import best_descendant
+from scenarios.registry import build
+from slam.estimators import ESTIMATORS
+
+
+def told(world: str, key: str, **changes: object) -> list[tuple[int, str]]:
+    """Step and text of all events of a run."""
+    source = build(world)
+    info = session.make_info(source, [ESTIMATORS[key]], source.params(**changes), seed=1)
+    watch = Watch({key: ESTIMATORS[key].title})
+    return [(step.index, event.text) for step in session.steps(info) for event in watch.step(step)]
+
+
+@pytest.mark.parametrize("key", ["ekf", "fs2"])
+def test_a_loop_is_told_to_close_when_it_does(key: str):
+    closed = [step for step, text in told("loop", key, particles=20) if "closed a loop" in text]
+    # 0.4 m a step: the start is seen from across the loop after 100 steps, and from itself after 250
+    assert min(closed) > 100
+    assert any(200 < step < 260 for step in closed)
+
+
+def test_no_loop_is_told_where_there_is_none():
+    assert not [text for _, text in told("paper-line", "dfs") if "closed a loop" in text]
+
+
+def test_what_lasts_is_told_once():
+    """FastSLAM 1.0 with too few particles loses association for a long time."""
+    lost = [step for step, text in told("loop", "fs1", particles=3, inflate_r=1.0) if "lost association" in text]
+    assert lost
+    assert min(np.diff(lost), default=99) > 1
+
+
+def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():
+    source = build("paper-line")
+    params = source.params(particles=20, resampler="multinomial", resample_below=1.0)
+    info = session.make_info(source, [ESTIMATORS["fs1"]], params, seed=2)
+    for step in session.steps(info):
+        trace = step.filters["fs1"].trace
+        w = trace.weighted.log_w[trace.selected]
+        assert w[best_descendant(step.filters["fs1"])] == w.max()
+
+
+def write(pipe: Pipe, data: bytes) -> None:
+    with open(pipe.entrance, "wb") as file:
+        pipe.seal()
+        file.write(data)
+    pipe.join()
+
+
+def test_two_writers_do_not_share_a_file(tmp_path: Path):
+    first = Pipe(tmp_path / "a.rrd")
+    with pytest.raises(OSError, match="another run is recording to it"):
+        Pipe(tmp_path / "a.rrd")
+    write(first, b"mine")
+    assert (tmp_path / "a.rrd").read_bytes() == b"mine"
+    write(Pipe(tmp_path / "a.rrd"), b"next")
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_deleted_file_is_noticed(tmp_path: Path, replaced: bool):
+    pipe = Pipe(tmp_path / "a.rrd")
+    os.remove(tmp_path / "a.rrd")
+    if replaced:
+        (tmp_path / "a.rrd").write_bytes(b"")
+    write(pipe, b"gone")
+    assert pipe.error is not None
+    assert "deleted or replaced" in str(pipe.error)
+
+
+def test_the_truth_is_not_shown_where_nobody_knows_it(tmp_path: Path):
+    """Its path is interrupted, rather than drawn straight across, and the true robot goes away."""
+    source = build("loop")
+    unknown = range(40, 60)  # 10 s
+    hidden = tuple(s._replace(truth=None) if i in unknown else s for i, s in enumerate(source.steps))
+    blind = dataclasses.replace(source, steps=hidden)
+    info = session.make_info(blind, [ESTIMATORS["ekf"]], blind.params(), count=100)
+    session.run(info, [Recorder(tmp_path / "a.rrd")])
+    recording = Recording(tmp_path / "a.rrd")
+    _, stretches = recording.rows("/world/truth/path", "LineStrips3D:strips", "step")[-1]
+    assert [len(stretch) for stretch in stretches] == [40, 40]
+    cleared = [step for step, _ in recording.rows("/world/truth/robot", "Clear:is_recursive", "step")]
+    assert cleared
+    assert all(40 < step - 1 < 60 for step in cleared)

@@ -1,0 +1,108 @@
+"""Studies: the same results from any number of processes, standard errors, and what is saved."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from app import cli
+from app.study.jobs import run_all
+from app.study.statistics import Mean, mean, spread
+
+
+def saved(tmp_path, *arguments: str) -> dict:
+    path = tmp_path / "study.json"
+    assert cli.entry(["study", *arguments, "--out", str(path)]) == 0
+    return json.loads(path.read_text())
+
+
+def test_mean_and_its_standard_error():
+    values = [1.0, 2.0, 4.0, 5.0]
+    assert mean(values) == (3.0, pytest.approx(np.std(values, ddof=1) / 2))
+    assert math.isnan(mean([1.0]).error)
+
+
+def test_how_means_are_written():
+    assert str(Mean(0.01772, 0.00213)) == ".0177±.0021"
+    assert str(Mean(-0.5, 0.25)) == "-.50±.25"
+    assert str(Mean(96.1234, 1.5)) == "96.1±1.5"
+    assert str(Mean(1.0, 0.0)) == "1.00±.00"
+    assert str(Mean(0.25, math.nan)) == "0.25"
+    assert spread([0.3, 0.1, 0.2]) == "0.2 (0.1-0.3)"
+    assert spread([15, 15], ".0f") == "15"
+
+
+def test_paper_table(capsys, tmp_path):
+    found = saved(tmp_path, "paper-table", "--runs", "2", "--jobs", "1", "--particles", "10")
+    out = capsys.readouterr().out
+    for text in (
+        "FastSLAM 1.0",
+        "Dual, marginal",
+        "Dual, joint",
+        "EKF-SLAM",
+        "±",
+        "0.3 mm",
+        "2 of 2 seeds",
+        "alternating",
+    ):
+        assert text in out
+    assert "dualslam study paper-table --runs 2" in out
+    assert found["options"]["particles"] == 10
+    level = found["levels"]["3 mm, 0.003°"]
+    assert set(level) == {"fs1", "fs2", "dfs", "dfs-joint", "ekf"}
+    for row in level.values():
+        assert len(row["squared_errors_m2"]) == 2
+        assert row["final_mse_m2"]["value"] == pytest.approx(np.mean(row["squared_errors_m2"]))
+        assert list(row["diversity"]) == ["at 5", "at 10", "at 20", "at 59"]
+    assert level["dfs"] != level["dfs-joint"]
+
+
+def test_results_do_not_depend_on_the_number_of_processes(tmp_path):
+    one, two = (
+        saved(tmp_path, "association", "--runs", "3", "--steps", "10", "--particles", "5", "--jobs", jobs)
+        for jobs in ("1", "2")
+    )
+    assert one["filters"] == two["filters"]
+    runs = one["filters"]["fs2"]["runs"]
+    assert len(runs) == 3
+    assert all(run["correct"] + run["wrong"] + run["missed"] == pytest.approx(1) for run in runs)
+
+
+def test_log_error(capsys, tmp_path):
+    line = """log-error loop --seeds 2 --steps 10 --particles 5 10 --inflate-r 1 4 --filters fs2 ekf --jobs 1
+    --association known"""
+    found = saved(tmp_path, *line.split())
+    cells = {(cell["filter"], cell["particles"], cell["inflate_r"]) for cell in found["cells"]}
+    assert cells == {("fs2", k, r) for k in (5, 10) for r in (1.0, 4.0)} | {("ekf", 1, r) for r in (1.0, 4.0)}
+    for cell in found["cells"]:
+        errors = [run["position_rmse_m"] for run in cell["runs"]]
+        assert cell["median"]["position_rmse_m"] == pytest.approx(np.median(errors))
+        assert len(set(errors)) == 2
+    assert "dead reckoning" in capsys.readouterr().out
+
+
+def _interrupting(task: int) -> int:
+    if task == 2:
+        os.kill(os.getpid(), signal.SIGINT)
+    return task * task
+
+
+def test_an_interruption_keeps_what_is_done():
+    assert run_all(_interrupting, [0, 1, 2, 3], 1, "squares") == ([0, 1], True)
+
+
+def _slow(task: int) -> int:
+    if task:
+        threading.Event().wait(60)
+    return task
+
+
+def test_an_interruption_does_not_wait_for_other_processes():
+    threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    assert run_all(_slow, [0, 1, 2], 2, "slow") == ([0], True)
