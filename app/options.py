@@ -17,7 +17,15 @@ from app import values
 from app.errors import UsageError
 from scenarios.types import Source
 from slam.limits import BELIEVED_SENSOR, DEVIATION, PARAMS, Interval
-from slam.types import AssociationName, Noise, Params, ProposalWeightName, ResamplerName, WeightingName
+from slam.types import (
+    UNKNOWN_TAG,
+    AssociationName,
+    Noise,
+    Params,
+    ProposalWeightName,
+    ResamplerName,
+    WeightingName,
+)
 
 FILTERS = ("dfs", "fs2", "fs1", "ekf")
 
@@ -169,7 +177,12 @@ def parameters(
             )
     preset = PRESETS[filters.preset] if filters.preset else {}
     given = {name: value for name, value in vars(filters).items() if value is not None and name != "preset"}
-    return dataclasses.replace(source.noise, **world), source.params(**{**preset, **given, "believed": belief})
+    params = source.params(**{**preset, **given, "believed": belief})
+    if params.association == "known" and all((step.frame.tags == UNKNOWN_TAG).all() for step in source.steps):
+        raise UsageError(
+            f"--association is known, but nobody knows what was seen in {source.name}; expected nearest or jcbb"
+        )
+    return dataclasses.replace(source.noise, **world), params
 
 
 def _typed(noise: WorldNoise | BelievedNoise) -> dict[str, float]:

@@ -23,7 +23,7 @@ from slam.types import Floats
 SHOWN_EVENTS = 3
 """Of each filter."""
 
-COMPILING = "compiling (first run only) ..."
+COMPILING = "compiling, for this and all later runs ..."
 
 
 class ProgressBar:
@@ -86,7 +86,7 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     print_whole(console, table(summary))
     console.print()
     for key, series in summary.filters.items():
-        events = [(step, text) for step, who, text in summary.events if who == key]
+        events = [(step, text) for step, who, text in summary.faults if who == key]
         for step, text in events[:SHOWN_EVENTS]:
             console.print(f"[{_style(key)}]{series.title}[/], step {step}: {escape(text)}", soft_wrap=True)
         if len(events) > SHOWN_EVENTS:

@@ -176,7 +176,7 @@ def _check(output: Outputs, source: str) -> None:
     for option, path in paths.items():
         check_file(option, path)
         if path.exists() and Path(source).exists() and path.samefile(source):
-            raise UsageError(f"{option} {path} is the log itself; expected another file")
+            raise UsageError(f"{option} {path} is the input itself; expected another file")
     if output.summary is not None and _holds_something_else(output.summary):
         raise UsageError(f"--summary {output.summary} exists and is no summary; it is not overwritten")
     if len({path.resolve() for path in paths.values()}) < len(paths):

@@ -19,6 +19,7 @@
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
+- `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
 - `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time.
@@ -36,6 +37,7 @@ from typing import Any
 
 import numpy as np
 
+from app.events import Watch
 from app.files import write_whole
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
@@ -103,12 +105,15 @@ class Summary:
         self.truth: list[Floats] = []
         self.changes: list[tuple[int, str]] = []
         self.events: list[tuple[int, str, str]] = []
+        self.faults: list[tuple[int, str, str]] = []
+        """Of these, what a filter reported itself: something went wrong with its numbers."""
         self.filters: dict[str, FilterSeries] = {}
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
         self.info = info
         self.filters = {f.key: FilterSeries(f.title) for f in info.filters}
+        self._watch = Watch({f.key: f.title for f in info.filters})
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
@@ -116,10 +121,11 @@ class Summary:
         self.times.append(float(step.frame.time))
         self.truth.append(np.full(3, np.nan) if step.truth is None else step.truth)
         self.changes += [(step.index, sentence) for sentence in step.changes]
+        self.events += [(step.index, event.who, event.text) for event in self._watch.step(step) if event.who]
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
         for key, update in step.filters.items():
             self.filters[key].add(update, tagged)
-            self.events += [(step.index, key, sentence) for sentence in update.trace.events]
+            self.faults += [(step.index, key, sentence) for sentence in update.trace.events]
 
     def end(self) -> None:
         """Write what there is, after an interruption too."""

@@ -6,16 +6,19 @@ import math
 from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 
-from slam._jit import inline
 from slam.types import Floats
 
 TWO_PI = 2.0 * math.pi
 
 
-@inline
+@register_jitable
 def wrap(angle: Any) -> Any:
-    """The same angle in [-pi, pi).  Exact for angles that are there already."""
+    """The same angle in [-pi, pi).  Exact for angles that are there already.
+
+    A plain function to Python, which would else have to compile it in every process.
+    """
     if -math.pi <= angle < math.pi:
         return angle
     if -9.0 < angle < 9.0:  # the sum of two or three angles: a turn off, exactly

@@ -20,34 +20,38 @@ MAP_ASPECT = 1.8
 BACKGROUND = colours.BACKGROUND
 
 
-def layout(filters: Sequence[Estimator], extent: Extent, truth: bool) -> rrb.Blueprint:
-    """The window: the map with a close-up for each filter on the left, plots and pages on the right."""
+def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str]) -> rrb.Blueprint:
+    """The window: the map with a close-up for each filter on the left, plots and pages on the right.
+
+    `known` is what somebody knows (`metrics.known_of`).
+    """
+    oriented = "heading" in known
     together = rrb.Vertical(
         _map_view(_legend(filters), extent, filters),
-        rrb.Horizontal(*(_close_up(f, "focus", f.title) for f in filters)),
+        rrb.Horizontal(*(_close_up(f, "focus", f.title, oriented) for f in filters)),
         row_shares=[5, 3],
         name="All filters",
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(together, *(_of_one(f, extent) for f in filters), active_tab=0),
-            rrb.Vertical(_plots(filters, truth), _pages(filters), row_shares=[3, 2]),
+            rrb.Tabs(together, *(_of_one(f, extent, oriented) for f in filters), active_tab=0),
+            rrb.Vertical(_plots(filters, known), _pages(filters), row_shares=[3, 2]),
             column_shares=[8, 5],
         ),
-        rrb.TimePanel(state="collapsed", timeline="step", play_state="paused"),
+        rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )
 
 
-def _of_one(estimator: Estimator, extent: Extent) -> rrb.Container:
+def _of_one(estimator: Estimator, extent: Extent, oriented: bool) -> rrb.Container:
     """The tab of one filter: its map with lineages and all hypotheses, its particles, and the best one of them."""
     title = estimator.title
     return rrb.Vertical(
         _map_view(f"{title}: map, all surviving paths, the maps of all particles", extent, [estimator], whole=True),
         rrb.Horizontal(
-            _close_up(estimator, "focus", f"{title}: particles"),
-            _close_up(estimator, "best", f"{title}: the best particle"),
+            _close_up(estimator, "focus", f"{title}: particles", oriented),
+            _close_up(estimator, "best", f"{title}: the best particle", oriented),
         ),
         row_shares=[5, 3],
         name=title,
@@ -76,15 +80,19 @@ def _map_view(name: str, extent: Extent, filters: Sequence[Estimator], whole: bo
     )
 
 
-def _close_up(estimator: Estimator, frame: str, name: str) -> rrb.Spatial3DView:
-    """The frame moves and scales with the particles, so that a fixed eye always has them in sight."""
+def _close_up(estimator: Estimator, frame: str, name: str, oriented: bool) -> rrb.Spatial3DView:
+    """The frame moves and scales with the particles, so that a fixed eye always has them in sight.
+
+    Observations are shown only if a true pose tells where they were made: drawn from the estimate of one filter, they
+    would look wrong beside the particles of another.
+    """
     root = f"/world/{estimator.key}"
     other = {"focus": "best", "best": "focus"}[frame]
     return rrb.Spatial3DView(
         name=name,
         origin=f"{root}/{frame}",
         contents=[
-            *_surroundings(),
+            *(_surroundings() if oriented else _surroundings()[:-1]),
             f"+ {root}/**",
             f"- {root}/lineages",
             f"- {root}/maps",
@@ -122,11 +130,11 @@ GROUPS = {
 AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
 
 
-def _plots(filters: Sequence[Estimator], truth: bool) -> rrb.Container:
+def _plots(filters: Sequence[Estimator], known: frozenset[str]) -> rrb.Container:
     """One tab for each group, and in each one plot with the legend: the colours are the same in all."""
     tabs = []
     for name, members in GROUPS.items():
-        shown = [m for m in (BY_NAME[n] for n in members) if truth or not m.needs_truth]
+        shown = [m for m in (BY_NAME[n] for n in members) if not m.needs or m.needs in known]
         explained = next((m for m in shown if not m.population), shown[0] if shown else None)
         if shown:
             tabs.append(rrb.Vertical(*(_plot(m, filters, m is explained) for m in shown), name=name))
@@ -167,6 +175,7 @@ def _pages(filters: Sequence[Estimator]) -> rrb.Container:
         name="Events",
         origin="/events",
         columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
+        rows=rrb.TextLogRows(filter_by_log_level=["INFO", "WARN"]),  # resamplings, at DEBUG, can be switched on
     )
     return rrb.Tabs(
         ancestry,

@@ -48,7 +48,9 @@ def extent_of(source: Source, steps: int) -> Extent:
     xy = np.concatenate(places)
     xy = xy[np.isfinite(xy).all(axis=1)]
     low, high = xy.min(axis=0), xy.max(axis=0)
-    margin = max(0.02 * float(max(high - low)), 0.5)
+    # where the truth is known in parts only, the rest of the way leads somewhere too
+    share = 0.02 if len(known) in (0, min(steps, len(source.steps))) else 0.15
+    margin = max(share * float(max(high - low)), 0.5)
     return Extent(low - margin, high + margin)
 
 

@@ -6,7 +6,11 @@ import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+import numpy as np
+
 from app.types import FilterUpdate
+from scenarios.types import Source
+from slam.types import UNKNOWN_TAG
 
 
 class Metric(NamedTuple):
@@ -16,7 +20,8 @@ class Metric(NamedTuple):
     title: str
     """Of the view, with the unit."""
     value: Callable[[FilterUpdate], float]
-    needs_truth: bool = False
+    needs: str = ""
+    """What somebody must know for it to have a value: "truth" (of the position), "heading", "map" or "tags"."""
     population: bool = False
     """Says something about many particles: not shown of a filter that has one."""
 
@@ -38,23 +43,23 @@ def log_nees(value: float) -> float:
 METRICS = (
     Metric("n_eff", "N_eff [particles] (grey: resampling below)", lambda u: u.measures.n_eff, population=True),
     Metric("diversity", "Diversity [share of founders left]", lambda u: u.measures.diversity, population=True),
-    Metric("nees", "NEES of the position", lambda u: u.measures.nees_position, needs_truth=True),
+    Metric("nees", "NEES of the position", lambda u: u.measures.nees_position, needs="truth"),
     Metric(
         "nees_log10",
-        "log₁₀ NEES of the position (grey: 95 % band)",
+        "log₁₀ NEES of the position (grey: 95 % band; at the top: infinite)",
         lambda u: log_nees(u.measures.nees_position),
-        needs_truth=True,
+        needs="truth",
     ),
-    Metric("position_error", "Position error [m]", lambda u: u.measures.position_error_m, needs_truth=True),
+    Metric("position_error", "Position error [m]", lambda u: u.measures.position_error_m, needs="truth"),
     Metric(
         "heading_error",
         "Heading error [degrees]",
         lambda u: math.degrees(u.measures.heading_error_rad),
-        needs_truth=True,
+        needs="heading",
     ),
-    Metric("map_error", "Map error, aligned [m]", lambda u: u.measures.map_error_m, needs_truth=True),
+    Metric("map_error", "Map error, aligned [m]", lambda u: u.measures.map_error_m, needs="map"),
     Metric("features", "Features in the best map", lambda u: float(u.measures.features)),
-    Metric("duplicates", "Duplicate features in the best map", lambda u: float(u.measures.duplicates)),
+    Metric("duplicates", "Duplicate features in the best map", lambda u: float(u.measures.duplicates), needs="tags"),
     Metric(
         "common_ancestor",
         "Age of the common ancestor [steps]",
@@ -63,6 +68,19 @@ METRICS = (
     ),
     Metric("update_ms", "Time of a step [ms]", lambda u: 1e3 * u.seconds),
 )
+
+
+def known_of(source: Source, steps: int) -> frozenset[str]:
+    """Of what `Metric.needs` names, what is known of the first steps of a source."""
+    poses = [step.truth for step in source.steps[:steps] if step.truth is not None]
+    what = {
+        "truth": any(np.isfinite(pose[:2]).all() for pose in poses),
+        "heading": any(np.isfinite(pose).all() for pose in poses),
+        "map": source.true_map is not None,
+        "tags": any((step.frame.tags != UNKNOWN_TAG).any() for step in source.steps[:steps]),
+    }
+    return frozenset(name for name, is_known in what.items() if is_known)
+
 
 BY_NAME = {metric.name: metric for metric in METRICS}
 

@@ -10,12 +10,12 @@ import numpy as np
 import rerun as rr
 
 from app import colours
+from app.events import Watch
 from app.recording import charts, scene, texts
 from app.recording.blueprint import MAP_ASPECT, layout
-from app.recording.events import Watch
 from app.recording.ground import extent_of, known, observer, seen
 from app.recording.limits import due, limits_for, thinned
-from app.recording.metrics import METRICS, log_nees, populations
+from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import Stream
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
 from slam.geometry import ellipse_axes
@@ -38,7 +38,6 @@ GUIDES = {
 """Series in `/plots` that belong to no filter."""
 
 GUIDE: colours.RGB = (140, 140, 140)
-LEVELS = {"INFO": None, "WARN": colours.WARNING}
 
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
@@ -55,6 +54,8 @@ class Writer:
         """Stretches of the path along which the truth is known."""
         self._truth_seen = -math.inf
         """[s] when the truth was known last."""
+        self._truth_lost = False
+        """Whether nobody has known it since, for longer than `TRUTH_GAP`."""
         self._odometry: list[Floats] = [np.asarray(info.source.start, float)]
         first = info.source.steps[0].frame.time if info.source.steps else 0.0
         self._time_origin = first if abs(first) > EPOCH else 0.0
@@ -69,9 +70,8 @@ class Writer:
         self._many = populations(keys)
         bands = charts.bands(len(self._many), info.steps)
         self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
-        has_truth = any(known(s.truth) for s in info.source.steps[: info.steps])
         title = f"{info.source.name}, seed {info.seed}"
-        self._stream = Stream(path, layout(info.filters, extent, has_truth), title)
+        self._stream = Stream(path, layout(info.filters, extent, known_of(info.source, info.steps)), title)
         self._write_static()
         self._stream.begun()
 
@@ -154,12 +154,13 @@ class Writer:
         redraw = due(step.index, self._info.steps, self._limits.paths)
         z, length, log = self._lift, self._size / 30, self._stream.log
         if step.truth is not None and known(step.truth):
-            if step.frame.time - self._truth_seen > TRUTH_GAP:
+            if self._truth_lost or not self._truth:
                 self._truth.append([])
             self._truth[-1].append(step.truth)
-            self._truth_seen = step.frame.time
+            self._truth_seen, self._truth_lost = step.frame.time, False
             log("world/truth/robot", *scene.robot(step.truth, scene.TRUTH * z, length))
         elif self._truth and step.frame.time - self._truth_seen > TRUTH_GAP:
+            self._truth_lost = True
             log("world/truth/robot", rr.Clear(recursive=False))  # nobody knows where it is
         self._odometry.append(step.odometry)
         if redraw and self._truth:

@@ -127,7 +127,7 @@ def test_refused_files(capsys, tmp_path):
         assert str(path) in refused(capsys, "run", path)
     assert "is a directory" in refused(capsys, *RUN, "--summary", tmp_path)
     assert "is a file" in refused(capsys, *RUN, "--trajectory", text)
-    assert "is the log itself" in refused(capsys, "run", text, "--record", text)
+    assert "is the input itself" in refused(capsys, "run", text, "--record", text)
     assert text.read_text() == "dear diary\n"
 
 
@@ -439,3 +439,13 @@ def test_a_part_of_a_real_log(shared_data, tmp_path, capsys):
     assert "no robot 9 (--robot)" in refused(capsys, "run", log, "--robot", "9")
     assert "--from 9999999: expected 0 to" in refused(capsys, "run", log, "--robot", "3", "--from", "9999999")
     assert "--to 1: expected 5" in refused(capsys, "run", log, "--robot", "3", "--from", "5", "--to", "1")
+
+
+def test_known_association_wants_tags(capsys, tmp_path):
+    """A log of trees that nobody named."""
+    rows = {"dead_reckoning": "{t:.3f} 1.0 0.01", "trees": "{t:.3f} 5.0 1.5 0.4", "gps": "{t:.3f} 1.0 2.0"}
+    for name, row in rows.items():
+        (tmp_path / f"{name}.txt").write_text("".join(row.format(t=0.025 * k) + "\n" for k in range(200)))
+    complaint = refused(capsys, "run", tmp_path, "--association", "known")
+    assert "--association is known, but nobody knows what was seen in victoria-park" in complaint
+    assert "expected nearest or jcbb" in complaint

@@ -75,7 +75,7 @@ def test_schema(tmp_path):
     assert (summary["schema"], summary["world"], summary["seed"]) == (SCHEMA, "loop", 2)
     assert (summary["steps"], summary["complete"]) == (15, True)
     assert summary["params"]["particles"] == 10
-    assert summary["params"]["believed"]["range"] == summary["params"]["noise"]["range"] == 0.02
+    assert summary["params"]["believed"]["range"] == summary["params"]["noise"]["range"] == 0.05
     assert summary["params"]["options"]["length"] == 30.0
     assert list(summary["filters"]) == ["dfs", "fs2", "fs1", "ekf"]
     for key, filter in summary["filters"].items():
@@ -221,3 +221,14 @@ def test_outputs_are_checked(tmp_path):
             check("--out", path)
     check_directory("--trajectory", tmp_path / "a" / "b")
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_the_events_are_those_that_a_recording_tells():
+    summary = Summary()
+    source = build("paper-line")
+    filters = [ESTIMATORS["fs1"], ESTIMATORS["dfs"]]
+    session.run(session.make_info(source, filters, source.params(particles=10), count=8), [summary])
+    events = summary.as_dict()["events"]
+    assert [event for event in events if event[1] == "fs1" and "resampled: N_eff" in event[2]]
+    assert any("one founder left" in sentence for _, key, sentence in events if key == "fs1")
+    assert {step for step, _, _ in events} <= set(range(1, 9))

@@ -228,7 +228,7 @@ def test_the_same_options_give_the_same_bits() -> None:
         ("loop", {"laps": 900, "speed": 0.1}, ["control ticks", "2000000"]),
         ("loop", {"laps": 1e5}, ["laps is 100000.0", "at most 1000"]),
         ("corridor", {"door_spacing": 1e-6, "door_width": 1e-7}, ["door_spacing is 1e-06", "at most 1000000 doors"]),
-        ("loop", {"door_width": 11.0}, ["door_width is 11", "door_spacing of 10 m"]),
+        ("loop", {"door_width": 11.0}, ["door_width is 11", "door_spacing of 5 m"]),
         ("loop", {"length": 1.0}, ["length", "expected room"]),
         ("paper-line", {"layout": "alternate"}, ["paper-line: layout is 'alternate'", "'alternating'"]),
         ("paper-line", {"max_range": -1.0}, ["max_range is -1.0", "above 0"]),
@@ -283,3 +283,19 @@ def test_preview_is_to_scale() -> None:
     assert above.index("+") == pytest.approx(5 / 45 * 70, abs=1)
     assert start == pytest.approx(len(lines) / 2, abs=1)
     assert len(lines) * 2 == pytest.approx(12 / 45 * 70, abs=2)
+
+
+def test_the_loop_leaves_known_ground_and_returns() -> None:
+    """Nothing that is seen at the start is in sight for 40 m of the lap; in the end all that is seen is known."""
+    source = build("loop")
+    first = set(source.steps[0].frame.tags)
+    seen = [set(step.frame.tags) for step in source.steps]
+    lap = round(len(seen) / 1.3)
+    metres = 0.8 * 0.5
+    blind = longest = 0.0
+    for tags in seen[:lap]:
+        blind = blind + metres if not first & tags else 0.0
+        longest = max(longest, blind)
+    assert longest > 40.0
+    assert set().union(*seen[lap:]) <= set().union(*seen[: lap // 3], *seen[lap - 20 : lap])
+    assert first <= set().union(*seen[lap:])

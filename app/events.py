@@ -25,7 +25,7 @@ class Event(NamedTuple):
     """One line of the log."""
 
     level: str
-    """INFO or WARN."""
+    """WARN, INFO, or DEBUG for what happens all the time."""
     text: str
     who: str = ""
     """Key of the filter; none for the session."""
@@ -76,7 +76,7 @@ class Watch:
                 f"is depleted: N_eff fell to {trace.n_eff:.1f} of {K}, one particle holds {heaviest:.0%} of the weight",
             )
         if trace.did_resample:
-            yield "INFO", _resampled(update, step.params.resample_below)
+            yield "DEBUG", _resampled(update, step.params.resample_below)
         if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
             yield "WARN", f"has one founder left: all {K} particles share one past, up to {_age(update)}"
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from app import session
+from app.events import Watch
 from app.recording import Recorder
-from app.recording.events import Watch
 from app.recording.pipe import Pipe
 from app.recording.reading import Recording
 from app.types import best_descendant
