@@ -20,9 +20,8 @@ TITLE = "a 100 m corridor loop: the robot returns into known ground and goes on"
 CORNER_RADIUS = 1.0  # [m]
 
 LOOP_NOISE = Noise(speed=0.1, turn=math.radians(2.0), range=0.05, bearing=math.radians(0.5))
-"""Half the drift of the other indoor worlds: once round, dead reckoning is 1.6 m and 5 degrees off (median, deviation; 20
-runs).  With a sensor that sees only 10 m a third of the runs of Dual FastSLAM with 100 particles do not know the
-beginning again."""
+"""Half the drift of the other indoor worlds: once round, dead reckoning is 1.6 m and 5 degrees off (median and
+deviation of 20 runs)."""
 
 
 @dataclass(frozen=True)
