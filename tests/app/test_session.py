@@ -150,7 +150,7 @@ def test_changes_take_effect_at_the_top_of_their_step_and_are_told():
     sizes = [len(step.filters["dfs"].trace.weighted.log_w) for step in steps]
     assert sizes == [10] * 4 + [25] * (STEPS - 4)
     assert [step.changes for step in steps[:4]] == [()] * 4
-    assert steps[4].changes == ("particles: 10 -> 25", "believed.range: 0.02 -> 0.5", "inflate_r: 1.0 -> 4.0")
+    assert steps[4].changes == ("particles: 10 -> 25", "believed.range: 0.05 -> 0.5", "inflate_r: 1.0 -> 4.0")
     assert steps[4].params is changed
     assert world_hash(steps) == world_hash(watch())
 
