@@ -83,6 +83,19 @@ def test_a_deleted_file_is_noticed(tmp_path: Path, replaced: bool):
     assert "deleted or replaced" in str(pipe.error)
 
 
+def test_the_true_path_is_whole_where_observations_are_rare(tmp_path: Path):
+    """Ten seconds from one to the next, but the truth is known at each."""
+    source = build("loop")
+    rare = dataclasses.replace(
+        source,
+        steps=tuple(s._replace(frame=s.frame._replace(time=10.0 * i)) for i, s in enumerate(source.steps)),
+    )
+    info = session.make_info(rare, [ESTIMATORS["ekf"]], rare.params(), count=20)
+    session.run(info, [Recorder(tmp_path / "a.rrd")])
+    _, stretches = Recording(tmp_path / "a.rrd").rows("/world/truth/path", "LineStrips3D:strips", "step")[-1]
+    assert [len(stretch) for stretch in stretches] == [20]
+
+
 def test_the_truth_is_not_shown_where_nobody_knows_it(tmp_path: Path):
     """Its path is interrupted, rather than drawn straight across, and the true robot goes away."""
     source = build("loop")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from app import session
-from app.colours import of_filter
+from app.colours import WARNING, faded, of_filter
 from app.recording import Recorder
 from app.recording.blueprint import MAP_ASPECT
 from app.recording.ground import extent_of
+from app.recording.metrics import known_of
 from app.recording.stream import Stream
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from slam.types import UNKNOWN_TAG
 from tests.app.viewer import Viewer, pixels, required_viewer, share_drawn
 
 STEPS, AT = 12, 9
@@ -141,3 +144,46 @@ def test_the_stages_of_a_step_look_different(viewer: Viewer):
         viewer.seek("stage", stage)
         pictures.append(viewer.screenshot(view))
     assert len(set(pictures)) == 3
+
+
+def test_what_nobody_knows_has_no_view(source, tmp_path):
+    """A log with GPS for truth and things that nobody named: no empty plots, no rays in close-ups."""
+    steps = tuple(
+        step._replace(
+            frame=step.frame._replace(tags=np.full_like(step.frame.tags, UNKNOWN_TAG)),
+            truth=np.array([*step.truth[:2], math.nan]),
+        )
+        for step in source.steps
+    )
+    log = dataclasses.replace(source, kind="log", steps=steps, true_map=None)
+    filters = [ESTIMATORS["dfs"], ESTIMATORS["fs2"]]
+    info = session.make_info(log, filters, log.params(particles=10, association="jcbb"), count=STEPS)
+    assert known_of(log, STEPS) == {"truth"}
+    assert known_of(source, STEPS) == {"truth", "heading", "map", "tags"}
+    session.run(info, [Recorder(tmp_path / "log.rrd")])
+    viewer = required_viewer(tmp_path / "log.rrd")
+    try:
+        names = {view.name for view in viewer.views()}
+        assert not [name for name in names if name.startswith(("Heading error", "Map error", "Duplicate"))]
+        assert {"Position error [m]", "Features in the best map"} <= names
+        assert not {view.name: view.reports for view in viewer.views() if view.reports}
+        close_up = next(view for view in viewer.views() if view.origin == "/world/dfs/focus")
+        viewer.bring_to_front(close_up)
+        yellow = np.array(faded(WARNING, 0.55))
+        assert (np.abs(pixels(viewer.screenshot(close_up)).astype(int) - yellow).max(axis=2) < 12).sum() == 0
+    finally:
+        viewer.__exit__()
+
+
+def test_it_opens_at_the_end(source, tmp_path):
+    """Where maps, paths and ancestry can be seen."""
+    viewer = recorded(source, tmp_path / "run.rrd")
+    try:
+        view = next(v for v in viewer.views() if v.name.startswith("Map:"))
+        opened = viewer.screenshot(view)
+        viewer.seek("step", 1)
+        begun = viewer.screenshot(view)
+        viewer.seek("step", STEPS)
+        assert share_changed(opened, viewer.screenshot(view)) < share_changed(opened, begun)
+    finally:
+        viewer.__exit__()

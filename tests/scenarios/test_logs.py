@@ -268,6 +268,16 @@ UNUSABLE = {
         broken_mrclam("Robot1_Measurement", (5, "100.15 8.5 1.4 0")),
         r"Measurement\.dat:5: barcode is 8\.5; expected a whole number",
     ),
+    "a barcode of two": (
+        lambda place: write_mrclam(place / "set", changes={"Barcodes": "# Barcode Data\n1 5\n2 14\n6 63\n7 63\n"}),
+        r"Barcodes\.dat:5: barcode is 63; expected each number once",
+    ),
+    "a landmark that is there twice": (
+        lambda place: write_mrclam(
+            place / "set", changes={"Landmark_Groundtruth": "# Landmark\n6 2.0 0.5 0 0\n6 1.0 -1.0 0 0\n"}
+        ),
+        r"Landmark_Groundtruth\.dat:3: subject is 6; expected each number once",
+    ),
     "odometry backwards": (
         broken_mrclam("Robot1_Odometry", (5, "100.05 2.0 0.0")),
         r"Odometry\.dat:5: time runs backwards, from 100\.100 s to 100\.050 s; expected times in order",

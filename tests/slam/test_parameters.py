@@ -54,6 +54,16 @@ def test_gate_new_ignores_what_is_near(key: str) -> None:
     assert second_step(key, near, association="nearest", gate=0.5, gate_new=0.5).n[0, 0] == NEW
 
 
+@pytest.mark.parametrize("association", ["nearest", "jcbb"])
+@pytest.mark.parametrize("key", ALL)
+def test_what_is_near_a_feature_that_is_seen_itself_is_new(key: str, association: Any) -> None:
+    """Two things stand close together, and the map has one of them."""
+    both = seen([5.0, 5.6])
+    trace = second_step(key, both, association=association, gate=0.5, gate_new=1.0 - 1e-15)
+    assert trace.n[0].tolist() == [0, NEW]
+    assert trace.resampled.maps.counts[0] == 2
+
+
 @pytest.mark.parametrize("key", ALL)
 def test_gate_known_disbelieves_a_misread_tag(key: str) -> None:
     misread = seen([9.0], tags=[0])

@@ -112,6 +112,16 @@ def test_a_feature_that_moved_is_found_where_it_is() -> None:
     assert len(found_in(maps, 0, there, 3.0)) == 0  # the version before is not touched
 
 
+def test_features_that_moved_together_are_found_where_they_are() -> None:
+    """Two of one leaf, one of its neighbour and one far away, each to a place of its own."""
+    n = np.array([[4, 7, 8, 650]])
+    maps = maps_of(*along_a_way(np.random.default_rng(1), 1, 700, 0.0))
+    theta = 1e4 * np.array([[[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]])
+    moved = maps.replace(n, theta, np.zeros((1, 4, 2, 2)))
+    for index, (x, y) in zip(n[0], theta[0], strict=True):
+        assert index in found_in(moved, 0, (x - 1, y - 1, x + 1, y + 1), 3.0)
+
+
 @pytest.mark.parametrize("index", [22, 222])
 def test_an_uncertain_feature_is_looked_for_far_away(index: int) -> None:
     """One made before the tree had a second level, and one made after."""
