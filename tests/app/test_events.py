@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 from pathlib import Path
 
@@ -70,6 +71,15 @@ def test_two_writers_do_not_share_a_file(tmp_path: Path):
     write(first, b"mine")
     assert (tmp_path / "a.rrd").read_bytes() == b"mine"
     write(Pipe(tmp_path / "a.rrd"), b"next")
+
+
+def test_a_drive_that_knows_no_locks_is_written_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def no_locks(file: int, how: int) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr("app.recording.pipe.fcntl.flock", no_locks)
+    write(Pipe(tmp_path / "a.rrd"), b"mine")
+    assert (tmp_path / "a.rrd").read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize("replaced", [False, True])
