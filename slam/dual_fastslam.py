@@ -10,6 +10,7 @@ import numpy as np
 from slam.association import associate
 from slam.phases import (
     draw_features,
+    extend_features,
     initial,
     matched_features,
     miss_density,
@@ -27,7 +28,7 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: predict, associate, weigh, correct the pose, draw what is new, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params.believed)
+    R = observation_covariance(frame, params)
     R_known = params.inflate_r * R
 
     predicted = predict(particles, frame, params.believed)  # (21)
@@ -39,7 +40,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = weigh_marginal(predicted, frame, matched, R_known, miss)  # (43), at the predicted pose
     log_p = params.temper * log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = draw_features(rng, weighted, frame, n, R)  # (34, 37)
+    mapped = extend_features(weighted, frame, n)  # 4.1
+    mapped = draw_features(rng, mapped, frame, n, R)  # (34, 37)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)

@@ -6,6 +6,7 @@ joint covariance.  R. Smith, M. Self, P. Cheeseman, "Estimating Uncertain Spatia
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +15,10 @@ from slam._jit import inline, kernel
 from slam.association import candidates, ignore_gate
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import draw, innovation, inverse
+from slam.features import Wall, compatible, draw, innovation, inverse
 from slam.geometry import wrap
-from slam.linalg import distance2, dot2, inverse22, log_density
-from slam.phases import initial, observation_covariance, predict
+from slam.linalg import distance2, dot2, inverse22, load33, log_density
+from slam.phases import extend_features, initial, observation_covariance, predict
 from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, Params, Particles, Trace
 
 POSE = slice(0, 3)
@@ -40,7 +41,7 @@ def init(feature: Any, start: Floats, start_covariance: Floats, params: Params) 
 
 def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params) -> tuple[EkfState, Trace]:
     """One observing step: predict, associate, correct pose and map, add what is new.  Draws nothing."""
-    R = observation_covariance(frame, params.believed)
+    R = observation_covariance(frame, params)
     R_known = params.inflate_r * R
 
     state = predict_joint(state, frame, params)
@@ -48,7 +49,10 @@ def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params
     n = associate_joint(state, frame, R_known, params)
     n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
     state, log_p = update_joint(state, frame, n, R_known)
+    state = state._replace(particles=extend_features(state.particles, frame, n))  # 4.1
     state = augment(state, frame, n, R)
+    if params.orthogonal and type(frame.feature) is Wall:
+        state = constrain_angles(state, frame.feature, int((n[0] == NEW).sum()))
 
     weighted, one = state.particles, np.zeros(1, np.int64)
     return state, Trace(predicted, weighted, weighted, n, params.temper * log_p, 1.0, False, one, one)
@@ -141,10 +145,12 @@ def _compatible_pairs(
 
     nearest (Z,) is lowered to the distance of the nearest feature, in the gate or not.
     """
-    M = 0
+    M, pose = 0, load33(covariance)
     for i in range(len(z)):
         first = M
         for j in range(len(theta)):
+            if not compatible(feature, theta[j], s, pose, z[i]):
+                continue
             vj, g, V = _innovation(feature, s, theta, covariance, j, z[i], R[i])
             distance = distance2(vj, V)  # (25)
             nearest[i] = min(nearest[i], distance)
@@ -262,6 +268,39 @@ def augment(state: EkfState, frame: Frame, n: Ints, R: Floats) -> EkfState:
         )
         particles = particles._replace(maps=maps)
     return _with(particles, covariance)
+
+
+PARALLEL = math.radians(0.05)
+"""[rad] Deviation with which two walls of one building are parallel or at right angles."""
+
+PARALLEL_GATE = 6.635
+"""Chi-square of one degree of freedom at 99 %: a wall whose angle is farther off is an oblique one."""
+
+
+def constrain_angles(state: EkfState, feature: Any, added: int) -> EkfState:
+    """Make the last `added` walls parallel or at right angles to the first one, where their angles allow it.
+
+    That phi_j - phi_0 is a multiple of pi/2 enters as an observation, accurate to `PARALLEL`.  Without such knowledge
+    of the building the angles of an EKF's walls become inconsistent (the paper's introduction).
+    """
+    particles, covariance = state.particles, state.covariance.copy()
+    theta = particles.maps.features(0)[0]
+    s, first = particles.s[0].copy(), POSE.stop + 1  # the row of phi_0
+    for j in range(max(len(theta) - added, 1), len(theta)):
+        row = first + 2 * j
+        difference = theta[j, 2] - theta[0, 2]
+        v = wrap(0.5 * math.pi * round(difference / (0.5 * math.pi)) - difference)
+        w = covariance[:, row] - covariance[:, first]
+        V = w[row] - w[first] + PARALLEL**2
+        if v * v > PARALLEL_GATE * V:
+            continue
+        delta = w * (v / V)
+        s += delta[POSE]
+        theta = np.array([draw(feature, theta[i], delta[3 + 2 * i : 5 + 2 * i]) for i in range(len(theta))])
+        covariance -= np.outer(w, w / V)
+    s[2] = wrap(s[2])
+    maps = particles.maps.replace(np.arange(len(theta))[None], theta[None], _feature_blocks(covariance)[None])
+    return _with(particles._replace(s=s[None], maps=maps), covariance)
 
 
 def _feature_blocks(covariance: Floats) -> Floats:

@@ -18,7 +18,7 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.association.jcbb import chi_square_gates
-from slam.features import draw, innovation, inverse
+from slam.features import draw, extend, innovation, inverse
 from slam.geometry import wrap
 from slam.linalg import (
     LOG_TWO_PI,
@@ -107,11 +107,9 @@ def initial(feature: Any, start: Floats, start_covariance: Floats, params: Param
     )
 
 
-def observation_covariance(frame: Frame, believed: Noise) -> Floats:
-    """R (Z, 2, 2) as the filter believes it (7): independent range and bearing."""
-    R = np.zeros((len(frame.z), 2, 2))
-    R[:, 0, 0], R[:, 1, 1] = believed.range**2, believed.bearing**2
-    return R
+def observation_covariance(frame: Frame, params: Params) -> Floats:
+    """R (Z, 2, 2) as the filter believes it (7)."""
+    return type(frame.feature).covariance(frame.z, params)
 
 
 # Prediction ---------------------------------------------------------------------------------------------------------
@@ -400,6 +398,33 @@ def _draw_features(
                     sk, Pk = kalman_pose(sk, Pk, v, G_s, Ri, V)
         store3(s_out[k], sk)
         store33(P_out[k], Pk)
+
+
+# What is not uncertain ---------------------------------------------------------------------------------------------
+
+
+def extend_features(particles: Particles, frame: Frame, n: Ints) -> Particles:
+    """(4.1) A wall reaches as far as it was ever seen: matched pieces extend it, seen from the pose as it is.
+
+    The coordinates that are drawn, or have a Sigma, stay as they are.  Points have no extent.
+    """
+    if not type(frame.feature).grows or not (n >= 0).any():
+        return particles
+    theta, Sigma = particles.maps.take(n)
+    _extend_features(frame.feature, particles.s, n, frame.z, theta)
+    return particles._replace(maps=particles.maps.replace(n, theta, Sigma))
+
+
+@kernel
+def _extend_features(feature: Any, s: Any, n: Any, z: Any, theta: Any) -> None:
+    """Overwrites theta (K, Z, D), which is the caller's own copy."""
+    for k in range(len(s)):
+        sk = load3(s[k])
+        for i in range(len(z)):
+            if n[k, i] >= 0:
+                extended = extend(feature, theta[k, i], sk, z[i])
+                for m in range(len(extended)):
+                    theta[k, i, m] = extended[m]
 
 
 # Weights and resampling ---------------------------------------------------------------------------------------------

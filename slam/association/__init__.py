@@ -19,7 +19,7 @@ import numpy as np
 from slam._jit import inline, kernel
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import innovation, region
+from slam.features import compatible, innovation, region
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
 from slam.map_store import FAN, LEAF, leaf_of, search
 from slam.types import IGNORED, NEW, Floats, Frame, Ints, Params, Particles
@@ -141,6 +141,8 @@ def _associate(
             for c in range(search(pool, roots[k], depth, counts[k], box, beyond, stack, found)):
                 j = found[c]
                 row = pool.data[leaf_of(pool, roots[k], depth, j), j & (LEAF - 1)]
+                if not compatible(feature, row, sk, Pk, z[i]):
+                    continue
                 vj, G_s, G_theta = innovation(feature, row, sk, z[i])  # (23, 24)
                 Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
                 Vj = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, Sigma)), Ri)

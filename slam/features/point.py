@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from slam._jit import inline
 from slam.geometry import wrap
 from slam.linalg import largest_eigenvalue22
+from slam.types import Floats, Params
 
 
 @inline
@@ -28,6 +31,14 @@ class Point(NamedTuple):
 
     dim = 2
     observation = 2
+    grows = False
+
+    @staticmethod
+    def covariance(z: Floats, params: Params) -> Floats:
+        """R (Z, 2, 2): independent range and bearing."""
+        R = np.zeros((len(z), 2, 2))
+        R[:, 0, 0], R[:, 1, 1] = params.believed.range**2, params.believed.bearing**2
+        return R
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -53,6 +64,21 @@ class Point(NamedTuple):
     def draw(feature: Any, theta: Any, delta: Any) -> Any:
         """The uncertain coordinates of a point are its own x and y."""
         return (theta[0] + delta[0], theta[1] + delta[1])
+
+    @staticmethod
+    def compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
+        """The distance (25) says all."""
+        return True
+
+    @staticmethod
+    def extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+        """A point is seen whole or not at all."""
+        return (theta[0], theta[1])
+
+    @staticmethod
+    def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+        """The trace bounds the largest eigenvalue from above: a search may look a little too far, never too near."""
+        return math.sqrt(Sigma[0][0] + Sigma[1][1])
 
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:

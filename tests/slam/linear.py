@@ -15,7 +15,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from slam.motion import Odometry
-from slam.types import Floats, Frame, Noise
+from slam.types import Floats, Frame, Noise, Params
 
 
 class Linear(NamedTuple):
@@ -26,6 +26,12 @@ class Linear(NamedTuple):
 
     dim = 2
     observation = 2
+    grows = False
+
+    @staticmethod
+    def covariance(z: Floats, params: Params) -> Floats:
+        variance = np.array([params.believed.range, params.believed.bearing]) ** 2
+        return np.tile(np.diag(variance), (len(z), 1, 1))
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -39,6 +45,10 @@ class Linear(NamedTuple):
     @staticmethod
     def draw(feature: Any, theta: Any, delta: Any) -> Any:
         return (theta[0] + delta[0], theta[1] + delta[1])
+
+    @staticmethod
+    def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+        return np.sqrt(Sigma[0][0] + Sigma[1][1])
 
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:

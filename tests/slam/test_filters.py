@@ -300,7 +300,7 @@ def test_the_gate_lets_through_what_it_says(uncertain: str, association: Any) ->
     maps = MapStore(Point()).empty(1).append(np.ones((1, 1), bool), theta[None, None], Sigma[None, None], np.array([0]))
     particles = Particles(s[None], P[None], np.zeros(1), np.zeros(1, np.int64), maps)
     empty = Frame(0.0, Unicycle(), np.empty((0, 2)), np.empty(0), Point(), np.empty((1, 2)), np.array([-1]))
-    R = observation_covariance(empty, noise)
+    R = observation_covariance(empty, Params(believed=noise))
     observations = []
     for _ in range(trials):
         true_s = s + (factor @ rng.standard_normal(3) if uncertain != "map" else 0.0)
