@@ -81,7 +81,7 @@ class Wall(NamedTuple):
         px, py = _placed(s, z[0], z[1])
         phi = wrap(s[2] + z[2])
         c, q = math.cos(phi), math.sin(phi)
-        theta = (px, py, phi, z[3], z[4], float(z[7] >= EDGE), float(z[8] >= EDGE), 1.0)
+        theta = (px, py, phi, z[3], z[4], 1.0 if z[7] >= EDGE else 0.0, 1.0 if z[8] >= EDGE else 0.0, 1.0)
         F_s = ((-q, c, q * (py - s[1]) + c * (px - s[0])), (0.0, 0.0, 1.0))
         return theta, F_s, ((1.0, 0.0), (0.0, 1.0))
 
@@ -118,10 +118,10 @@ class Wall(NamedTuple):
         a, b, end_a, end_b = theta[3], theta[4], theta[5], theta[6]
         if end_a == 0.0:
             a = min(a, t + turned * z[3])
-            end_a = float(z[7] >= EDGE and t + turned * z[3] - a <= SAME_END)
+            end_a = 1.0 if z[7] >= EDGE and t + turned * z[3] - a <= SAME_END else 0.0
         if end_b == 0.0:
             b = max(b, t + turned * z[4])
-            end_b = float(z[8] >= EDGE and b - t - turned * z[4] <= SAME_END)
+            end_b = 1.0 if z[8] >= EDGE and b - t - turned * z[4] <= SAME_END else 0.0
         return (theta[0], theta[1], theta[2], a, b, end_a, end_b, theta[7] + 1.0)
 
     @staticmethod

@@ -265,7 +265,7 @@ def test_compiled_code_is_the_same_code() -> None:
             draw(feature, theta, delta),
             extend(feature, theta, s, z),
             extent(feature, theta),
-            float(compatible(feature, theta, s, P, z)),
+            1.0 if compatible(feature, theta, s, P, z) else 0.0,
             spread(feature, theta, Sigma),
             region(feature, s, P, z, R, 3.0),
         )
