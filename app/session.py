@@ -120,7 +120,8 @@ def run(
     """Run a session to its end.
 
     Every observer that was begun is ended, whatever happens; several errors are raised as an `ExceptionGroup`.  With
-    `interrupts`, a signal stops the filters at once but never an observer in the middle of its work.
+    `interrupts`, a signal stops the filters at once, but an observer only when it has done its work: unless it is the
+    second signal.
     """
     shield = interrupts.shield if interrupts else nullcontext
     begun: list[Observer] = []

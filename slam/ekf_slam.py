@@ -100,7 +100,7 @@ def associate_joint(state: EkfState, frame: Frame, R: Floats, params: Params) ->
     elif M:
         C = _joint_innovation_covariance(covariance, obs, feat, G, R)
         _choose_jointly(obs, feat, v, C, gates, workspace(M, len(frame.z)), n[0])
-    n[0, (n[0] == NEW) & (nearest <= ignore_gate(params))] = IGNORED
+    _ignore_near_misses(frame.feature, s, theta, covariance, frame.z, R, ignore_gate(params), nearest, n[0])
     return n
 
 
@@ -134,6 +134,25 @@ def _ignore_outliers(feature: Any, s: Any, theta: Any, covariance: Any, z: Any, 
             v, _, V = _innovation(feature, s, theta, covariance, n[i], z[i], R[i])
             if not distance2(v, V) <= gate:
                 n[i] = IGNORED
+
+
+@kernel
+def _ignore_near_misses(
+    feature: Any, s: Any, theta: Any, covariance: Any, z: Any, R: Any, ignore: Any, nearest: Any, n: Any
+) -> None:
+    """IGNORED for what is unpaired but within the gate `ignore` of a feature that is in no pair."""
+    for i in range(len(z)):
+        if n[i] != NEW or not nearest[i] <= ignore:
+            continue
+        for j in range(len(theta)):
+            paired = False
+            for other in n:
+                paired |= other == j
+            if not paired:
+                v, _, V = _innovation(feature, s, theta, covariance, j, z[i], R[i])
+                if distance2(v, V) <= ignore:
+                    n[i] = IGNORED
+                    break
 
 
 @kernel

@@ -387,7 +387,11 @@ def _replace(
                 done[size] = n[k, i]
                 size += 1
         for j in range(size):
-            _bound(pool, feature, roots, k, depth, done[j], counts[k])
+            again = False  # the leaf is boxed once, by the last of its features here
+            for later in range(j + 1, size):
+                again |= (done[later] ^ done[j]) >> _LEAF_BITS == 0
+            if not again:
+                _bound(pool, feature, roots, k, depth, done[j], counts[k])
 
 
 @kernel

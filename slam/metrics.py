@@ -68,7 +68,7 @@ class Measures(NamedTuple):
     wrong: int
     """Those that it paired with another thing's feature."""
     missed: int
-    """Those that it took for new although its map holds the thing."""
+    """Those that it did not pair although its map holds the thing, or ignored although it is new."""
     map_error_m: float
     """RMS distance of its map in `Trace.weighted` from the true one, after rigid alignment."""
     map_error_unaligned_m: float
@@ -272,9 +272,9 @@ def association_score(n: Ints, tags: Ints, map_tags: Ints) -> tuple[int, int, in
     """(correct, wrong, missed) for the correspondences n (Z,) of things with tags (Z,).
 
     `map_tags` are those of the map's features before the step.  Correct: paired with a feature born of the
-    same thing, or NEW when the map holds none of it.  Wrong: paired with one born of something else.  Missed:
-    NEW or IGNORED although the map holds one.  Not counted: things of unknown tag, pairs with a feature of unknown
-    tag, and what was IGNORED and is not held.
+    same thing, or NEW when the map holds none of it.  Wrong: paired with one born of something else.  Missed: all
+    else, that is NEW or IGNORED although the map holds one, and IGNORED although it holds none.  Not counted: things of
+    unknown tag, and pairs with a feature of unknown tag.
     """
     known = tags != UNKNOWN_TAG
     unpaired = n < 0
@@ -283,7 +283,7 @@ def association_score(n: Ints, tags: Ints, map_tags: Ints) -> tuple[int, int, in
     partner[~unpaired] = map_tags[n[~unpaired]]
     right = (partner == tags) | ((n == NEW) & ~held)
     wrong = (partner != tags) & (partner != UNKNOWN_TAG)
-    missed = unpaired & held
+    missed = unpaired & ~right
     return (
         int(np.count_nonzero(known & right)),
         int(np.count_nonzero(known & wrong)),

@@ -106,8 +106,8 @@ class Params:
     """Known association only: a tag is believed within this gate of its feature, else the observation is ignored (ours:
     real tags are misread now and then); 1 believes always, as the paper does."""
     gate_new: float = 0.999999
-    """Unmatched observations within this (wider) gate of some feature are ignored, not new (ours; up to `gate`:
-    never)."""
+    """Unmatched observations within this (wider) gate of a feature that nothing was matched with are ignored, not new
+    (ours; up to `gate`: never)."""
     weighting: WeightingName = "marginal"
     """Dual FastSLAM only: the two readings of (43) for several observations at once."""
     proposal_weight: ProposalWeightName = "integrated"

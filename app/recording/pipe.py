@@ -22,6 +22,18 @@ CHUNK = 1 << 20
 """[bytes]"""
 
 
+def _lock(file: int) -> None:
+    """Two writers would destroy each other's work.  Some network drives know no locks, and go without."""
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError(errno.EBUSY, "another run is recording to it") from None
+    except OSError:
+        pass
+
+
 class Pipe:
     """Takes bytes at `entrance`, a path that somebody else may open for writing, and puts them into the file `path`.
 
@@ -33,12 +45,11 @@ class Pipe:
         self._path = path
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT, 0o666)
         try:
-            if fcntl is not None:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # two writers would destroy each other's work
+            _lock(self._file)
             os.ftruncate(self._file, 0)
-        except BlockingIOError:
+        except OSError:
             os.close(self._file)
-            raise OSError(errno.EBUSY, "another run is recording to it") from None
+            raise
         self._outlet, self._inlet = os.pipe()
         # A daemon: at the exit of an interpreter that did not end the recording, Rerun still writes what is left.
         self._thread = threading.Thread(target=self._pump, name="recording", daemon=True)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenarios.logs.text import Head, Role, Table, read_table
 from scenarios.logs.timing import interpolate, ticks, with_controls
@@ -107,6 +108,9 @@ def read(place: Path, files: dict[Role, Path], robot: int | None) -> Source:
         for column in columns:
             whole = table.values[:, column]
             table.require(column, whole == np.floor(whole), "a whole number")
+    for table, columns in ((barcodes, (0, 1)), (landmarks, (0,))):
+        for column in columns:
+            table.require(column, _first_of_its_kind(table.values[:, column]), "each number once")
     measurement.require(2, measurement.values[:, 2] > 0, "a range above 0 m")
     measurement.require(3, np.abs(measurement.values[:, 3]) <= math.tau, "radians, at most one turn")
     warnings = [w for t in (odometry, measurement, groundtruth, barcodes, landmarks) for w in t.warnings]
@@ -161,6 +165,13 @@ def read(place: Path, files: dict[Role, Path], robot: int | None) -> Source:
         warnings=tuple(warnings),
         options={"robot": robot},
     )
+
+
+def _first_of_its_kind(values: Floats) -> NDArray[np.bool_]:
+    """(N,) whether no earlier one of the values (N,) is the same."""
+    first = np.zeros(len(values), np.bool_)
+    first[np.unique(values, return_index=True)[1]] = True
+    return first
 
 
 def _once_a_frame(seen: Ints, times: Floats, subject: Ints) -> tuple[Ints, Ints]:

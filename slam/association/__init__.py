@@ -6,7 +6,8 @@ own innovation covariance V.  Then `nearest` takes pairs greedily, nearest first
 once; `jcbb` takes the largest jointly compatible set.
 
 What is left unpaired is of something new - or it is the one in a hundred that a gate of 99 % rejects, and would make a
-duplicate of a feature that is there (ours): within the wider `gate_new` of any feature it is ignored.
+duplicate of a feature that is there (ours): within the wider `gate_new` of a feature that no other observation was
+paired with it is ignored.
 """
 
 from __future__ import annotations
@@ -165,8 +166,33 @@ def _associate(
         else:
             nearest_first(obs[:M], feat[:M], d2[:M], free[:M], n[k])
         for i in range(Z):
-            if n[k, i] == NEW and nearest[i] <= ignore:
+            if n[k, i] == NEW and nearest[i] <= ignore and _may_be_known(
+                pool, roots[k], counts[k], depth, feature, sk, Pk, z[i], load22(R[i]), ignore, n[k], stack, found
+            ):  # fmt: skip
                 n[k, i] = IGNORED
+
+
+@inline
+def _may_be_known(
+    pool: Any, root: Any, count: Any, depth: Any, feature: Any, s: Any, P: Any, z: Any, R: Any,
+    ignore: Any, n: Any, stack: Any, found: Any,
+) -> Any:  # fmt: skip
+    """Whether an unpaired observation is within the gate `ignore` of a feature that is in no pair of n (Z,)."""
+    dim = pool.data.shape[2] - 4
+    box, beyond = region(feature, s, P, z, R, math.sqrt(ignore))
+    for c in range(search(pool, root, depth, count, box, beyond, stack, found)):
+        j = found[c]
+        paired = False
+        for other in n:
+            paired |= other == j
+        if paired:
+            continue
+        row = pool.data[leaf_of(pool, root, depth, j), j & (LEAF - 1)]
+        v, G_s, G_theta = innovation(feature, row, s, z)
+        Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
+        if distance2(v, add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), R)) <= ignore:
+            return True
+    return False
 
 
 @inline

@@ -50,11 +50,21 @@ def test_everything_so_far_is_saved(tmp_path, number):
     assert str(record) in out
 
 
-@pytest.mark.parametrize(("number", "delay"), [(signal.SIGINT, 0.15), (signal.SIGTERM, 0.3), (signal.SIGINT, 3.0)])
+TOLD = """
+import sys
+from app.interrupt import Interrupts
+
+enter = Interrupts.__enter__
+Interrupts.__enter__ = lambda self: (enter(self), print("ready", flush=True))[0]
+"""
+"""The program says when it begins to listen to signals: before that, there is nobody to tell."""
+
+
+@pytest.mark.parametrize(("number", "delay"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.2), (signal.SIGINT, 3.0)])
 def test_loading_and_compiling_are_interrupted_too(tmp_path, number, delay):
     """The delays are meant to fall into imports and into the compilation of kernels, but any will do."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "print(flush=True); " + PROGRAM, "run", "field", "--length", "1000"],
+        [sys.executable, "-c", TOLD + PROGRAM, "run", "field", "--length", "1000"],
         cwd=ROOT,
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
         stdout=subprocess.PIPE,
@@ -63,7 +73,7 @@ def test_loading_and_compiling_are_interrupted_too(tmp_path, number, delay):
     )
     try:
         assert process.stdout is not None
-        process.stdout.readline()
+        assert process.stdout.readline() == "ready\n"
         time.sleep(delay)
         process.send_signal(number)
         _, err = process.communicate(timeout=120)

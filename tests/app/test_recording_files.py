@@ -147,13 +147,13 @@ class TestDamage:
                 break
         killed = time.monotonic()
         process.send_signal(signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
+        rest, _ = process.communicate()
+        told = len(at) + len(rest.split())  # a busy machine may kill late
 
         due = max(index for index, moment in at.items() if moment < killed - 1.0)
         steps, values = read_series(path, "/plots/n_eff/dfs")
         np.testing.assert_array_equal(steps, np.arange(1, len(steps) + 1))
-        assert due <= len(steps) <= 36
+        assert due <= len(steps) <= told + 1
         assert np.isfinite(values).all()
         assert len(Recording(path).rows("/world/dfs/particles", "Points3D:positions", "stage")) >= 3 * due
 

@@ -100,9 +100,10 @@ def test_an_interruption_keeps_what_is_done():
 def _slow(task: int) -> int:
     if task:
         threading.Event().wait(60)
+    else:  # here, in the process that listens to signals
+        threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
     return task
 
 
 def test_an_interruption_does_not_wait_for_other_processes():
-    threading.Timer(2.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
     assert run_all(_slow, [0, 1, 2], 2, "slow") == ([0], True)

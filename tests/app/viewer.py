@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 
-SHOWN_AFTER = 20.0
+SHOWN_AFTER = 60.0
 """[s] that a viewer without graphics hardware may take to start, or to show something."""
 
 T = TypeVar("T")

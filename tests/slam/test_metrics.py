@@ -23,7 +23,7 @@ from slam.metrics import (
     rms,
 )
 from slam.motion import Odometry
-from slam.types import NEW, UNKNOWN_TAG, Frame, Particles, Trace
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Frame, Particles, Trace
 
 PI = math.pi
 
@@ -304,10 +304,13 @@ def test_duplicates(tags, count):
         (0, 77, (0, 1, 0)),  # paired although the map does not hold it
         (NEW, 77, (1, 0, 0)),  # new, and it is
         (NEW, 20, (0, 0, 1)),  # new, but the map holds it
+        (IGNORED, 20, (0, 0, 1)),  # ignored, and the map holds it
+        (IGNORED, 77, (0, 0, 1)),  # ignored, and it is new
         (3, 10, (0, 0, 0)),  # paired with a feature that nobody can name
         (0, UNKNOWN_TAG, (0, 0, 0)),  # nobody can say
         (3, UNKNOWN_TAG, (0, 0, 0)),
         (NEW, UNKNOWN_TAG, (0, 0, 0)),
+        (IGNORED, UNKNOWN_TAG, (0, 0, 0)),
     ],
 )
 def test_association_score_by_hand(n, tag, score):

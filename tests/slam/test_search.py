@@ -236,7 +236,8 @@ def associated_by_looking_at_all(
             C[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] = V[obs[p], feat[p]]
         n = test_jcbb.brute_force(test_jcbb.Pairs(obs, feat, v[obs, feat], C, Z), gates)[2]
     if params.gate_new > params.gate:
-        n[(n == NEW) & (d2.min(axis=1) <= chi2.ppf(params.gate_new, 2))] = IGNORED
+        unpaired = ~np.isin(np.arange(d2.shape[1]), n)
+        n[(n == NEW) & (d2[:, unpaired].min(axis=1, initial=np.inf) <= chi2.ppf(params.gate_new, 2))] = IGNORED
     return n, int((d2 <= gates[1]).sum())
 
 
