@@ -11,10 +11,11 @@ from slam.association import associate
 from slam.phases import (
     draw_features,
     extend_features,
+    inflated,
     initial,
     matched_features,
     miss_density,
-    observation_covariance,
+    observation_noise,
     predict,
     resample_if_needed,
     resize,
@@ -28,8 +29,8 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: predict, associate, weigh, correct the pose, draw what is new, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     predicted = predict(particles, frame, params.believed)  # (21)
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2

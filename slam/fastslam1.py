@@ -9,10 +9,11 @@ from slam.phases import (
     add_features,
     draw_pose,
     extend_features,
+    inflated,
     initial,
     matched_features,
     miss_density,
-    observation_covariance,
+    observation_noise,
     predict_by_sampling,
     resample_if_needed,
     resize,
@@ -25,8 +26,8 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: draw the pose, associate, update the map, weigh, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     if particles.P.any():
         particles = draw_pose(rng, particles)  # an uncertain start

@@ -91,6 +91,16 @@ class Noise:
     """Deviation of an odometry increment, as a fraction of the motion."""
 
 
+class ObservationNoise(NamedTuple):
+    """R (7), as a filter believes it, for the observations of one frame."""
+
+    sensor: Floats
+    """(Z, 2, 2) covariance of each observation."""
+    model: Floats
+    """(2, 2) covariance of what a feature is beside what it is taken for, in its uncertain coordinates (ours): a wall
+    is no perfect line, and what is seen of it far from where it was made is off by more than nearby."""
+
+
 @dataclass(frozen=True)
 class Params:
     """Everything that may change while a filter runs, and nothing else.  Read once at the top of a step."""

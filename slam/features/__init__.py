@@ -6,12 +6,13 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
     innovation(feature, theta, s, z) -> v (2,), G_s (2, 3), G_theta (2, 2)
     inverse(feature, s, z)           -> theta (D,), F_s (2, 3), F_z (2, 2)
     draw(feature, theta, delta)      -> theta displaced by delta (2,) in the two coordinates that are uncertain
+    total(feature, R, G_theta, model)-> R of an observation that is paired with a feature: with the error of the model
     extent(feature, theta)           -> (x_min, y_min, x_max, y_max) [m], for the search over the map
     spread(feature, theta, Sigma)    -> the largest deviation [m] that Sigma gives any part of it, for the search
     compatible(feature, theta, s, P, z)
                                      -> whether z may be of it, beside what the distance (25) says
     extend(feature, theta, s, z)     -> theta with what z shows of it that is not uncertain: how far a wall reaches
-    region(feature, s, P, z, R, reach)
+    region(feature, s, P, z, R, model, reach)
                                      -> such a box, and how far beyond it a feature with Sigma may stand, for each
                                         metre of its deviation (`spread`): no compatible feature outside has a distance
                                         (25) <= reach^2
@@ -19,8 +20,8 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
 `v = z - g(s, theta)` (23), with G_s = dg/ds and G_theta = dg/dtheta (24); F_s and F_z are those of (35).  The two
 columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y), for a wall
 its lateral offset and its angle.  Class attributes: `dim` = D numbers that describe a feature, `observation` = d
-numbers of one observation, `grows` = whether `extend` does anything; and covariance(z (Z, d), params) -> R (Z, 2, 2),
-as the filter believes it (7).
+numbers of one observation, `grows` = whether `extend` does anything; and
+believed(z (Z, d), params) -> `ObservationNoise`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,19 @@ from numba.extending import overload
 from slam.features.point import Point
 from slam.features.wall import Wall
 
-__all__ = ["Point", "Wall", "compatible", "draw", "extend", "extent", "innovation", "inverse", "region", "spread"]
+__all__ = [
+    "Point",
+    "Wall",
+    "compatible",
+    "draw",
+    "extend",
+    "extent",
+    "innovation",
+    "inverse",
+    "region",
+    "spread",
+    "total",
+]
 
 
 def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -55,6 +68,11 @@ def extent(feature: Any, theta: Any) -> Any:
     return type(feature).extent(feature, theta)
 
 
+def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+    """R (2, 2) of an observation that is paired with a feature: its own, and what the feature's model leaves out."""
+    return type(feature).total(feature, R, G_theta, model)
+
+
 def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
     """[m] the largest deviation that Sigma gives any part of a feature."""
     return type(feature).spread(feature, theta, Sigma)
@@ -70,9 +88,9 @@ def extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
     return type(feature).extend(feature, theta, s, z)
 
 
-def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     """Where z may be of a feature: (x_min, y_min, x_max, y_max) [m], and metres more for each metre of deviation."""
-    return type(feature).region(feature, s, P, z, R, reach)
+    return type(feature).region(feature, s, P, z, R, model, reach)
 
 
 @overload(innovation)
@@ -95,6 +113,11 @@ def _extent(feature: Any, theta: Any) -> Any:
     return feature.instance_class.extent
 
 
+@overload(total)
+def _total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+    return feature.instance_class.total
+
+
 @overload(spread)
 def _spread(feature: Any, theta: Any, Sigma: Any) -> Any:
     return feature.instance_class.spread
@@ -111,5 +134,5 @@ def _extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
 
 
 @overload(region)
-def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     return feature.instance_class.region

@@ -10,7 +10,7 @@ import numpy as np
 from slam._jit import inline
 from slam.geometry import wrap
 from slam.linalg import largest_eigenvalue22
-from slam.types import Floats, Params
+from slam.types import Floats, ObservationNoise, Params
 
 
 @inline
@@ -34,10 +34,15 @@ class Point(NamedTuple):
     grows = False
 
     @staticmethod
-    def covariance(z: Floats, params: Params) -> Floats:
-        """R (Z, 2, 2): independent range and bearing."""
+    def believed(z: Floats, params: Params) -> ObservationNoise:
+        """Independent range and bearing; a landmark is a point indeed."""
         R = np.zeros((len(z), 2, 2))
         R[:, 0, 0], R[:, 1, 1] = params.believed.range**2, params.believed.bearing**2
+        return ObservationNoise(R, np.zeros((2, 2)))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        """Its own."""
         return R
 
     @staticmethod
@@ -86,7 +91,7 @@ class Point(NamedTuple):
         return theta[0], theta[1], theta[0], theta[1]
 
     @staticmethod
-    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
         """Box around a sector of an annulus, not linearised: a heading error of 0.3 rad is far off its tangent at 20 m.
 
         A distance (25) is at least v^2 / V of the range alone and of the bearing alone.  With d the range of the

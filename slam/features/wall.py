@@ -19,12 +19,15 @@ import numpy as np
 
 from slam._jit import inline
 from slam.geometry import wrap
-from slam.linalg import dot3, largest_eigenvalue22, times33
-from slam.types import Floats, Params
+from slam.linalg import add22, dot3, largest_eigenvalue22, sandwich22, times33
+from slam.types import Floats, ObservationNoise, Params
 
 HIDDEN, OUT_OF_REACH, EDGE, CORNER = 0, 1, 2, 3
 """What ends an observed piece: something nearer hides the rest; the scan or its range ends there; the wall itself ends,
 with free space behind; it meets another wall.  From `EDGE` on it is an end of the wall."""
+
+LEVER = 20.0
+"""[m] of a wall over which the error of its angle counts."""
 
 SAME_END = 0.3
 """[m] within which an end that was seen is the end that the map has."""
@@ -57,11 +60,21 @@ class Wall(NamedTuple):
     grows = True
 
     @staticmethod
-    def covariance(z: Floats, params: Params) -> Floats:
-        """R (Z, 2, 2) of (lateral, angle): that of the fitted line and the floor for what is no straight line."""
+    def believed(z: Floats, params: Params) -> ObservationNoise:
+        """That of the fitted lines, (lateral, angle); and the floors, since no wall is a perfect line."""
         R = np.zeros((len(z), 2, 2))
-        R[:, 0, 0], R[:, 1, 1] = z[:, 5] + params.floor_lateral**2, z[:, 6] + params.floor_angle**2
-        return R
+        R[:, 0, 0], R[:, 1, 1] = z[:, 5], z[:, 6]
+        return ObservationNoise(R, np.diag([params.floor_lateral**2, params.floor_angle**2]))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        """The floors, seen from where along the wall the piece is: an angle is a lateral offset far from its origin.
+
+        A wall that is drawn once has a frozen angle error; 0.1 degrees are 5 cm after 30 m.  It grows no more beyond
+        `LEVER`: who is that far off has had time to make a new wall.
+        """
+        t = min(max(-G_theta[0][1], -LEVER), LEVER)
+        return add22(R, sandwich22(((-1.0, -t), (0.0, -1.0)), model))
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -139,7 +152,7 @@ class Wall(NamedTuple):
         return math.sqrt(max(Sigma[0][0], 0.0)) + lever * math.sqrt(max(Sigma[1][1], 0.0))
 
     @staticmethod
-    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
         """Box around the piece as seen from the mean pose, with room for all that gate and `compatible` allow.
 
         A distance (25) is at least v^2 / V of the lateral offset alone and of the angle alone.  With `arm` from the
@@ -152,8 +165,9 @@ class Wall(NamedTuple):
         heading = math.sqrt(max(P[2][2], 0.0))
         shift = math.sqrt(max(largest_eigenvalue22(P), 0.0)) + arm * heading
         room = feature.slack + 2.0 * shift
-        turned = min(reach * math.sqrt(heading * heading + R[1][1]), feature.turn)
-        margin = room + reach * math.sqrt(shift * shift + R[0][0]) + half * turned
+        bent = math.sqrt(model[0][0]) + LEVER * math.sqrt(model[1][1])
+        turned = min(reach * math.sqrt(heading * heading + R[1][1] + model[1][1]), feature.turn)
+        margin = room + reach * math.sqrt(shift * shift + R[0][0] + bent * bent) + half * turned
         px, py = _placed(s, z[0], z[1])
         c, q = math.cos(s[2] + z[2]), math.sin(s[2] + z[2])
         x0, x1, y0, y1 = px + c * z[3], px + c * z[4], py + q * z[3], py + q * z[4]

@@ -15,7 +15,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from slam.motion import Odometry
-from slam.types import Floats, Frame, Noise, Params
+from slam.types import Floats, Frame, Noise, ObservationNoise, Params
 
 
 class Linear(NamedTuple):
@@ -29,9 +29,13 @@ class Linear(NamedTuple):
     grows = False
 
     @staticmethod
-    def covariance(z: Floats, params: Params) -> Floats:
+    def believed(z: Floats, params: Params) -> ObservationNoise:
         variance = np.array([params.believed.range, params.believed.bearing]) ** 2
-        return np.tile(np.diag(variance), (len(z), 1, 1))
+        return ObservationNoise(np.tile(np.diag(variance), (len(z), 1, 1)), np.zeros((2, 2)))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        return R
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:

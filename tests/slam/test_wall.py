@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam._jit import inline
-from slam.features import Wall, compatible, draw, extend, extent, innovation, inverse, region, spread
+from slam.features import Wall, compatible, draw, extend, extent, innovation, inverse, region, spread, total
 from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, ends
 from slam.geometry import compose, invert, wrap
 from slam.types import Floats, Params
@@ -17,6 +17,7 @@ from tests.slam.test_features import flat
 
 PI = math.pi
 WALL = Wall()
+MODEL = ((1e-4, 0.0), (0.0, 4e-6))
 
 
 def piece(x: float, y: float, phi: float, half: float = 1.0, end_a: int = HIDDEN, end_b: int = HIDDEN) -> Floats:
@@ -105,12 +106,17 @@ def test_nothing_is_said_along_a_wall() -> None:
         np.testing.assert_allclose(np.array(G_s) @ along, 0.0, atol=1e-12)
 
 
-def test_covariance_has_the_floor() -> None:
-    z = np.stack([piece(1, 2, 0.3), piece(3, 1, -0.3)])
-    z[1, 5:7] = 4e-4, 9e-6
-    R = Wall.covariance(z, Params(floor_lateral=0.01, floor_angle=0.002))
-    np.testing.assert_allclose(R[0], np.diag([1e-6 + 1e-4, 1e-6 + 4e-6]))
-    np.testing.assert_allclose(R[1], np.diag([4e-4 + 1e-4, 9e-6 + 4e-6]))
+def test_the_floor_grows_with_the_distance_along_the_wall() -> None:
+    """As a deviation of the wall itself would, up to 20 m."""
+    noise = Wall.believed(np.stack([piece(1, 2, 0.3)]), Params(floor_lateral=0.01, floor_angle=0.002))
+    np.testing.assert_allclose(noise.sensor[0], np.diag([1e-6, 1e-6]))
+    theta = wall(0.0, 0.0, 0.0, 50.0)
+    for t in (0.0, 5.0, -15.0, 40.0):
+        _, _, G_theta = innovation(WALL, theta, np.zeros(3), piece(t, 0.0, 0.0))
+        lever = min(t, 20.0)
+        G = np.array([[1.0, lever], [0.0, 1.0]])
+        expected = noise.sensor[0] + G @ np.diag([1e-4, 4e-6]) @ G.T
+        np.testing.assert_allclose(total(WALL, noise.sensor[0], G_theta, noise.model), expected, atol=1e-12)
 
 
 # Which piece may be of which wall -----------------------------------------------------------------------------------
@@ -221,7 +227,8 @@ def test_nothing_outside_the_region_is_within_reach() -> None:
         P = root @ root.T * rng.choice([0.0, 1.0])
         Sigma = np.diag(10.0 ** rng.uniform(-3, [0.0, -1.0])) ** 2 * rng.choice([0.0, 1.0])
         R, reach = np.diag(10.0 ** rng.uniform([-3.0, -3.0], [-0.5, -1.0])) ** 2, rng.uniform(1.0, 5.3)
-        box, beyond = region(WALL, s, P, z, R, reach)
+        model = np.diag(10.0 ** rng.uniform(-3.5, [-1.5, -2.0])) ** 2
+        box, beyond = region(WALL, s, P, z, R, model, reach)
         made = np.array(inverse(WALL, s, z)[0])
         scale = 10.0 ** rng.uniform(-2, 1.3)
         for _ in range(60):
@@ -233,7 +240,7 @@ def test_nothing_outside_the_region_is_within_reach() -> None:
             if not compatible(WALL, theta, s, P, z):
                 continue
             v, G_s, G_theta = (np.array(a) for a in innovation(WALL, theta, s, z))
-            V = G_s @ P @ G_s.T + G_theta @ Sigma @ G_theta.T + R
+            V = G_s @ P @ G_s.T + G_theta @ Sigma @ G_theta.T + np.array(total(WALL, R, G_theta, model))
             if v @ np.linalg.solve(V, v) > reach**2:
                 continue
             slack = beyond * spread(WALL, theta, Sigma) + 1e-9
@@ -253,7 +260,7 @@ def test_nothing_outside_the_region_is_within_reach() -> None:
 def test_the_region_of_a_certain_pose_is_small() -> None:
     """5 mm, 0.1 degrees and a piece of 2 m: little more than the slack around it."""
     R = np.diag([0.005, math.radians(0.1)]) ** 2
-    box, _ = region(WALL, np.array([100.0, -50.0, 2.0]), CERTAIN, piece(3.0, 1.0, 0.4), R, 3.0)
+    box, _ = region(WALL, np.array([100.0, -50.0, 2.0]), CERTAIN, piece(3.0, 1.0, 0.4), R, np.zeros((2, 2)), 3.0)
     assert max(box[2] - box[0], box[3] - box[1]) < 2.0 + 2 * 0.5 + 0.1
 
 
@@ -267,7 +274,7 @@ def test_compiled_code_is_the_same_code() -> None:
             extent(feature, theta),
             1.0 if compatible(feature, theta, s, P, z) else 0.0,
             spread(feature, theta, Sigma),
-            region(feature, s, P, z, R, 3.0),
+            region(feature, s, P, z, R, MODEL, 3.0),
         )
     )
     plain = compiled.py_func

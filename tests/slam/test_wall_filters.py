@@ -100,7 +100,7 @@ def parameters(**changes: Any) -> Params:
 
 def run(key: str, frames: list[Frame], params: Params, seed: int = 1, P0: Floats | None = None) -> list[Trace]:
     state = ESTIMATORS[key].init(Wall(), START, np.zeros((3, 3)) if P0 is None else P0, params)
-    rng, traces = np.random.default_rng(seed), []
+    rng, traces = np.random.default_rng([seed, 1]), []  # not the stream of the world
     for frame in frames:
         state, trace = ESTIMATORS[key].step(rng, state, frame, params)
         traces.append(trace)
