@@ -248,6 +248,14 @@ def test_walls_on_both_sides_of_a_door_are_two(behind: float | None) -> None:
     assert len(of_wall(segments, scan, 0)) == len(of_wall(segments, scan, 1)) == 1
 
 
+def test_a_door_far_down_the_corridor_with_nothing_behind() -> None:
+    """A few missing beams only, but 0.9 m of wall."""
+    walls = np.vstack([path((-1, 1), (3, 1)), path((3.9, 1), (9, 1))])
+    segments, scan = seen(walls, Laser(721, 180.0))
+    assert len(of_wall(segments, scan, 0)) == len(of_wall(segments, scan, 1)) == 1
+    assert len(segments.z) == 2
+
+
 def test_the_backs_of_two_recesses_are_two() -> None:
     """On one line, and the wall between them is nearer; but it hides nothing."""
     walls = path(
