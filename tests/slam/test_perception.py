@@ -87,6 +87,17 @@ def test_residuals_speak_where_the_belief_is_wrong() -> None:
     assert 0.8 < np.mean(np.square(ratio)) < 1.6
 
 
+def test_beams_that_are_off_do_not_count() -> None:
+    """One in twenty is 6 cm too short: not enough to split the wall there, too much to be noise."""
+    rng, pose = np.random.default_rng(13), np.array([0, 0, math.pi / 2])
+    walls, ratio = path((-3, 2), (3, 2)), []
+    for _ in range(200):
+        scan = look(rng, walls, pose, Laser(121, 90.0))
+        z, _ = extract(scan._replace(ranges=scan.ranges - 0.06 * (rng.random(121) < 0.05)), 0.01)
+        ratio.append(errors(z[0], walls[0], pose)[0] / math.sqrt(z[0, 5]))
+    assert np.mean(np.square(ratio)) < 1.4
+
+
 def test_variances_of_a_wall_in_front() -> None:
     """sigma^2 / n and sigma^2 / sum t^2, where all beams meet the wall at nearly a right angle."""
     bearings = np.radians(np.linspace(-5, 5, 101))
@@ -150,6 +161,28 @@ def test_where_the_range_ends_no_wall_does() -> None:
     assert z[0, 4] - z[0, 3] > 8.0
 
 
+def test_beyond_the_range_nothing_hides_a_wall() -> None:
+    """5 m of range end where, from the next beam on, something nearer stands before a part that is too far anyway."""
+    walls = np.vstack([path((-1, 2), (20, 2)), path((3, -1), (3, 1.32))])
+    segments, scan = seen(walls, Laser(361, 180.0, reach=5.0))
+    (wall,) = of_wall(segments, scan, 0)
+    on = np.flatnonzero(segments.label == wall)
+    assert np.isfinite(scan.ranges[on[0] - 1])
+    assert segments.z[wall, 7] == OUT_OF_REACH
+
+
+def test_an_end_beyond_which_returns_are_missing_is_none() -> None:
+    walls = np.vstack([path((3, -2), (3, 0)), path((5, -4), (5, 4))])
+    segments, scan = seen(walls, Laser(361, 180.0))
+    (wall,) = of_wall(segments, scan, 0)
+    assert segments.z[wall, 8] == EDGE
+    ranges, last = scan.ranges.copy(), np.flatnonzero(segments.label == wall)[-1]
+    ranges[last + 1 : last + 6] = np.inf
+    segments = extract(scan._replace(ranges=ranges), 0.01)
+    (wall,) = of_wall(segments, scan, 0)
+    assert segments.z[wall, 8] == OUT_OF_REACH
+
+
 def test_a_box_has_a_corner_in_front_and_edges_at_the_sides() -> None:
     walls = np.vstack([box(3, 0, 1.2, 1.2, math.pi / 4), path((6, -6), (6, 6))])
     segments, scan = seen(walls, Laser(361, 180.0, reach=20.0))
@@ -173,6 +206,15 @@ def test_a_wall_across_the_seam_is_one(beams: int) -> None:
         np.testing.assert_allclose(z[:, 4] - z[:, 3], [5, 5, 4, 4], atol=0.05)
         assert np.sum(label < 0) <= 4 + beams % 2
         assert set(tags_of(Segments(z, label), scan.walls)) == {0, 1, 2, 3}
+
+
+def test_no_direction_counts_twice() -> None:
+    """A quarter of a turn more than all round."""
+    walls = path((3, -2), (3, 2), (-2, 2), (-2, -2), (3, -2))
+    once, more = seen(walls, Laser(360, 360.0))[0], seen(walls, Laser(451, 450.0))[0]
+    assert len(more.z) == len(once.z) == 4
+    assert np.all(more.label[360:] == -1)
+    assert more.z[:, 9].sum() <= 360
 
 
 def test_a_scan_that_is_not_closed_has_two_ends() -> None:
