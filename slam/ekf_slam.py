@@ -197,10 +197,20 @@ def _joint_innovation_covariance(
     for p in range(M):
         H[2 * p : 2 * p + 2, columns[p]] = G[p]
     C = H @ covariance @ H.T
-    for p in range(M):
-        Rp = total(feature, R.sensor[obs[p]].tolist(), G[p, :, 3:].tolist(), R.model.tolist())
-        C[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] += np.array(Rp)
+    _add_noise(feature, obs, G, R, C)
     return C
+
+
+@kernel
+def _add_noise(feature: Any, obs: Any, G: Any, R: Any, C: Any) -> None:
+    """Adds R of observations obs (M,), seen with Jacobians G (M, 2, 5), to the blocks of C (2M, 2M)."""
+    model = load22(R.model)
+    for p in range(len(obs)):
+        G_theta = ((G[p, 0, 3], G[p, 0, 4]), (G[p, 1, 3], G[p, 1, 4]))
+        Rp = total(feature, load22(R.sensor[obs[p]]), G_theta, model)
+        for a in range(2):
+            C[2 * p + a, 2 * p] += Rp[a][0]
+            C[2 * p + a, 2 * p + 1] += Rp[a][1]
 
 
 @kernel
@@ -278,8 +288,9 @@ def augment(state: EkfState, frame: Frame, n: Ints, R: ObservationNoise) -> EkfS
     particles, covariance = state
     for i in np.flatnonzero(n[0] == NEW):
         theta, F_s, F_z = inverse(frame.feature, particles.s[0], frame.z[i])
-        _, _, G_theta = innovation(frame.feature, theta, particles.s[0], frame.z[i])
-        Ri = np.array(total(frame.feature, R.sensor[i].tolist(), G_theta, R.model.tolist()))
+        _, G_s, G_theta = innovation(frame.feature, theta, particles.s[0], frame.z[i])
+        Ri = np.zeros((2, 2))
+        _add_noise(frame.feature, np.array([i]), np.concatenate([G_s, G_theta], axis=1)[None], R, Ri)
         F_s, F_z = np.array(F_s), np.array(F_z)
         size = len(covariance)
         grown = np.empty((size + 2, size + 2))
