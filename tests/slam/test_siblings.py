@@ -256,5 +256,6 @@ def test_the_order_of_observations_does_not_change_nearest() -> None:
     assert {NEW, IGNORED} & set(n.ravel()), "pairs compete: some observation comes away empty-handed"
     assert len({tuple(row) for row in n}) > 3, "and not the same in all particles"
     for order in itertools.permutations(range(5)):
-        turned = associate(particles, frame._replace(z=z[list(order)]), R[list(order)], params)
+        R_turned = R._replace(sensor=R.sensor[list(order)])
+        turned = associate(particles, frame._replace(z=z[list(order)]), R_turned, params)
         np.testing.assert_array_equal(turned, n[:, list(order)])
