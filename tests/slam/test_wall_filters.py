@@ -15,7 +15,7 @@ import pytest
 
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
-from slam.features.wall import CORNER, OUT_OF_REACH
+from slam.features.wall import CORNER, LEVER, OUT_OF_REACH
 from slam.geometry import compose, invert, wrap
 from slam.metrics import mixture_moments
 from slam.motion import Odometry
@@ -165,11 +165,13 @@ class Localisation:
             self.s, self.P = after, H @ self.P @ H.T + J @ np.diag(deviation**2) @ J.T
         for z, n in zip(frame.z, frame.tags, strict=True):
             placed = compose(self.s, z[:3])
-            _, lateral, angle = compose(invert(theta[n][:3]), placed)
+            t, lateral, angle = compose(invert(theta[n][:3]), placed)
             c, q = math.cos(theta[n][2]), math.sin(theta[n][2])
             arm = placed[:2] - self.s[:2]
             G = np.array([[-q, c, -q * -arm[1] + c * arm[0]], [0.0, 0.0, 1.0]])
-            R = np.diag([z[5] + params.floor_lateral**2, z[6] + params.floor_angle**2])
+            lever = np.array([[1.0, np.clip(t, -LEVER, LEVER)], [0.0, 1.0]])
+            model = np.diag([params.floor_lateral**2, params.floor_angle**2])
+            R = np.diag(z[5:7]) + lever @ model @ lever.T
             V = G @ self.P @ G.T + R
             K = self.P @ G.T @ np.linalg.inv(V)
             self.s = self.s - K @ np.array([lateral, wrap(angle)])
@@ -208,28 +210,32 @@ def test_on_a_known_map_dual_fastslam_is_an_ekf_localisation() -> None:
 def test_a_corridor_says_nothing_of_the_way_along_it() -> None:
     """Two walls, one particle: the deviation along them is that of the odometry, across it stays that of the walls.
 
-    The walls are drawn at slightly different angles, and two lines that are not parallel do fix a point: an R that is
-    hardly larger than what the walls were drawn with would make the particle believe in that point.
+    The walls are drawn at slightly different angles, and two lines that are not parallel do fix a point. The model of
+    R is as large as what the walls were drawn with, here `SIGMA`: with a smaller one the particle believes in that
+    point.  It holds up to `LEVER` from where the walls were first seen, so the way ends there.
     """
     walls = np.array([[[-50.0, -1.0], [90.0, -1.0]], [[90.0, 1.0], [-50.0, 1.0]]])
+    params = parameters(particles=1, inflate_r=9.0, floor_lateral=SIGMA[0], floor_angle=SIGMA[1])
     along, reported = [], None
     for seed in range(100):
         rng = np.random.default_rng(seed)
         s, frames = START, []
-        for k in range(80):
+        for k in range(round(LEVER / 0.5)):
             s = compose(s, np.array([0.5, 0.0, 0.0]))
             z, which = seen_from(s, walls)
             for row in z:
                 row[:3] = compose(row[:3], np.array([0.0, *(SIGMA * rng.standard_normal(2))]))
             u = np.array([[0.5, 0.0, 0.0]]) + np.array([0.05, 0.05, 0.005]) * rng.standard_normal((1, 3))
             frames.append(Frame(k + 1.0, Odometry(), u, np.ones(1), Wall(), z, np.array(which, np.int64)))
-        trace = run("dfs", frames, parameters(particles=1, inflate_r=100.0), seed)[-1]
+        trace = run("dfs", frames, params, seed)[-1]
         along.append(trace.weighted.s[0, 0] - s[0])
         reported = trace.weighted.P[0]
     assert reported is not None
     deviation = math.sqrt(np.mean(np.square(along)))  # known to 1 / sqrt(2 x 100) = 7 %
     assert 0.8 < math.sqrt(reported[0, 0]) / deviation < 1.25
-    assert math.sqrt(reported[0, 0]) > 20 * math.sqrt(reported[1, 1])
+    odometry = 0.05 * math.sqrt(LEVER / 0.5)
+    np.testing.assert_allclose(math.sqrt(reported[0, 0]), odometry, rtol=0.05)
+    assert math.sqrt(reported[1, 1]) < 0.3 * odometry
 
 
 @pytest.mark.parametrize("orthogonal", [False, True])
