@@ -55,6 +55,7 @@ def named(name: str, text: str) -> Any:
 
 
 _USUAL = {field.name: default(str(field.default)) for field in dataclasses.fields(Params)}
+_USUAL["floor_angle"] = default(f"{math.degrees(Params().floor_angle):g}")
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,16 @@ class FilterOptions:
     """Factor on the covariance R wherever known landmarks are used."""
     temper: Annotated[float | None, values.real("--temper", "X", PARAMS["temper"]), _USUAL["temper"]] = None
     """Exponent on the likelihood of an observation; 1 is the paper."""
+    floor_lateral: Annotated[
+        float | None, values.real("--floor-lateral", "M", PARAMS["floor_lateral"]), _USUAL["floor_lateral"]
+    ] = None
+    """Walls: deviation from the straight line they are taken for, added to R."""
+    floor_angle: Annotated[
+        float | None, values.real("--floor-angle", "DEG", PARAMS["floor_angle"]), _USUAL["floor_angle"]
+    ] = None
+    """Walls: the same of their angle."""
+    orthogonal: bool = False
+    """Walls, EKF-SLAM: those that may be parallel or at right angles to the first one are made so."""
     log_p_new: Annotated[float | None, values.real("--log-p-new", "X", PARAMS["log_p_new"]), _USUAL["log_p_new"]] = None
     """Added to the log weight for every observation taken for a new landmark."""
     resampler: Annotated[str | None, values.choice("--resampler", get_args(ResamplerName)), _USUAL["resampler"]] = None
@@ -176,7 +187,10 @@ def parameters(
                 f"expected --believed.{name} beside it"
             )
     preset = PRESETS[filters.preset] if filters.preset else {}
-    given = {name: value for name, value in vars(filters).items() if value is not None and name != "preset"}
+    given = _typed(filters)
+    given.pop("preset", None)
+    if not filters.orthogonal:  # a flag that is not there says nothing
+        given.pop("orthogonal")
     params = source.params(**{**preset, **given, "believed": belief})
     if params.association == "known" and all((step.frame.tags == UNKNOWN_TAG).all() for step in source.steps):
         raise UsageError(
@@ -185,11 +199,11 @@ def parameters(
     return dataclasses.replace(source.noise, **world), params
 
 
-def _typed(noise: WorldNoise | BelievedNoise) -> dict[str, float]:
-    """The deviations that were given, in SI units and radians."""
-    degrees = ("turn", "bearing")
+def _typed(options: FilterOptions | WorldNoise | BelievedNoise) -> dict[str, Any]:
+    """What was given, in SI units and radians."""
+    degrees = ("turn", "bearing", "floor_angle")
     return {
         name: math.radians(value) if name in degrees else value
-        for name, value in vars(noise).items()
+        for name, value in vars(options).items()
         if value is not None
     }

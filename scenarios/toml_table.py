@@ -46,6 +46,13 @@ class Table:
         """A whole number written without a decimal point."""
         return self._get(key, default, "a whole number", int)
 
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        value = self._values[key] if key in self else None
+        if not isinstance(value, bool):
+            raise SourceError(f"{self.path(key)} is {_shown(value)}; expected true or false")
+        return value
+
     def angle(self, key: str, default: float = _NO_DEFAULT) -> float:
         """[rad] from `<key>_deg` or, where no number of degrees gives the same bits, `<key>_rad`."""
         degrees, radians = f"{key}_deg", f"{key}_rad"

@@ -37,7 +37,7 @@
     seed = 0                            # optional
     area = [-10, -10, 30, 20]           # x_min, y_min, x_max, y_max; optional: 10 m around the route
 
-    [defaults]                          # optional: fields of slam.types.Params
+    [defaults]                          # optional: fields of slam.types.Params, in their units
     association = "known"
     particles = 25
 
@@ -241,7 +241,7 @@ def _random_landmarks(table: Table, waypoints: Waypoints) -> Any:
 
 
 def _defaults(table: Table) -> dict[str, Any]:
-    """Fields of `Params` other than `believed`: words, and numbers within `slam.limits`."""
+    """Fields of `Params` other than `believed`: words, true or false, and numbers within `slam.limits`."""
     values: dict[str, Any] = {}
     hints = get_type_hints(Params)
     for field in fields(Params):
@@ -250,6 +250,8 @@ def _defaults(table: Table) -> dict[str, Any]:
             continue
         if get_origin(hint) is Literal:
             values[key] = table.text(key, words=get_args(hint))
+        elif hint is bool:
+            values[key] = table.flag(key)
         elif hint is int:
             values[key] = table.integer(key)
         else:
@@ -301,6 +303,8 @@ def _angle(key: str, radians: float) -> dict[str, float]:
 
 def _value(value: Any) -> str:
     """As TOML: `repr` of a float is exact."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, str):
         escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08X}" for c in value)
         return f'"{escaped}"'

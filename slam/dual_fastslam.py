@@ -10,10 +10,12 @@ import numpy as np
 from slam.association import associate
 from slam.phases import (
     draw_features,
+    extend_features,
+    inflated,
     initial,
     matched_features,
     miss_density,
-    observation_covariance,
+    observation_noise,
     predict,
     resample_if_needed,
     resize,
@@ -27,8 +29,8 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: predict, associate, weigh, correct the pose, draw what is new, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params.believed)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     predicted = predict(particles, frame, params.believed)  # (21)
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
@@ -39,7 +41,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = weigh_marginal(predicted, frame, matched, R_known, miss)  # (43), at the predicted pose
     log_p = params.temper * log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = draw_features(rng, weighted, frame, n, R)  # (34, 37)
+    mapped = extend_features(weighted, frame, n)  # 4.1
+    mapped = draw_features(rng, mapped, frame, n, R)  # (34, 37)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)

@@ -6,6 +6,7 @@ joint covariance.  R. Smith, M. Self, P. Cheeseman, "Estimating Uncertain Spatia
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +15,11 @@ from slam._jit import inline, kernel
 from slam.association import candidates, ignore_gate
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import draw, innovation, inverse
+from slam.features import Wall, compatible, draw, innovation, inverse, total
 from slam.geometry import wrap
-from slam.linalg import distance2, dot2, inverse22, log_density
-from slam.phases import initial, observation_covariance, predict
-from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, Params, Particles, Trace
+from slam.linalg import distance2, dot2, inverse22, load22, load33, log_density
+from slam.phases import extend_features, inflated, initial, observation_noise, predict
+from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, ObservationNoise, Params, Particles, Trace
 
 POSE = slice(0, 3)
 
@@ -40,15 +41,18 @@ def init(feature: Any, start: Floats, start_covariance: Floats, params: Params) 
 
 def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params) -> tuple[EkfState, Trace]:
     """One observing step: predict, associate, correct pose and map, add what is new.  Draws nothing."""
-    R = observation_covariance(frame, params.believed)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     state = predict_joint(state, frame, params)
     predicted = state.particles
     n = associate_joint(state, frame, R_known, params)
     n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
     state, log_p = update_joint(state, frame, n, R_known)
+    state = state._replace(particles=extend_features(state.particles, frame, n))  # 4.1
     state = augment(state, frame, n, R)
+    if params.orthogonal and type(frame.feature) is Wall:
+        state = constrain_angles(state, frame.feature, int((n[0] == NEW).sum()))
 
     weighted, one = state.particles, np.zeros(1, np.int64)
     return state, Trace(predicted, weighted, weighted, n, params.temper * log_p, 1.0, False, one, one)
@@ -71,7 +75,7 @@ def predict_joint(state: EkfState, frame: Frame, params: Params) -> EkfState:
     return EkfState(after, covariance)
 
 
-def associate_joint(state: EkfState, frame: Frame, R: Floats, params: Params) -> Ints:
+def associate_joint(state: EkfState, frame: Frame, R: ObservationNoise, params: Params) -> Ints:
     """n (1, Z) as `slam.association.associate`, with the joint covariance of all innovations."""
     maps = state.particles.maps
     if params.association == "known":
@@ -94,22 +98,22 @@ def associate_joint(state: EkfState, frame: Frame, R: Floats, params: Params) ->
     if params.association == "nearest":
         _choose_nearest(obs, feat, d2, np.empty(M, np.bool_), n[0])
     elif M:
-        C = _joint_innovation_covariance(covariance, obs, feat, G, R)
+        C = _joint_innovation_covariance(frame.feature, covariance, obs, feat, G, R)
         _choose_jointly(obs, feat, v, C, gates, workspace(M, len(frame.z)), n[0])
     _ignore_near_misses(frame.feature, s, theta, covariance, frame.z, R, ignore_gate(params), nearest, n[0])
     return n
 
 
 @inline
-def _innovation(feature: Any, s: Any, theta: Any, covariance: Any, j: Any, z: Any, R: Any) -> Any:
-    """v (2,), G = (G_s, G_theta) (2, 5) and V (2, 2) of one observation and feature j, which is correlated with the
+def _innovation(feature: Any, s: Any, theta: Any, covariance: Any, j: Any, z: Any, R: Any, i: Any) -> Any:
+    """v (2,), G = (G_s, G_theta) (2, 5) and V (2, 2) of observation i and feature j, which is correlated with the
     pose."""
-    v, G_s, G_theta = innovation(feature, theta[j], s, z)
+    v, G_s, G_theta = innovation(feature, theta[j], s, z[i])
     G = (
         (G_s[0][0], G_s[0][1], G_s[0][2], G_theta[0][0], G_theta[0][1]),
         (G_s[1][0], G_s[1][1], G_s[1][2], G_theta[1][0], G_theta[1][1]),
     )
-    V00, V01, V11 = R[0, 0], R[0, 1], R[1, 1]
+    (V00, V01), (_, V11) = total(feature, load22(R.sensor[i]), G_theta, load22(R.model))
     for a in range(5):
         row = a if a < 3 else 2 * j + a  # of the joint covariance: the pose, then this feature
         w0, w1 = 0.0, 0.0
@@ -127,7 +131,7 @@ def _innovation(feature: Any, s: Any, theta: Any, covariance: Any, j: Any, z: An
 def _ignore_outliers(feature: Any, s: Any, theta: Any, covariance: Any, z: Any, R: Any, gate: Any, n: Any) -> None:
     for i in range(len(z)):
         if n[i] >= 0:
-            v, _, V = _innovation(feature, s, theta, covariance, n[i], z[i], R[i])
+            v, _, V = _innovation(feature, s, theta, covariance, n[i], z, R, i)
             if not distance2(v, V) <= gate:
                 n[i] = IGNORED
 
@@ -137,6 +141,7 @@ def _ignore_near_misses(
     feature: Any, s: Any, theta: Any, covariance: Any, z: Any, R: Any, ignore: Any, nearest: Any, n: Any
 ) -> None:
     """IGNORED for what is unpaired but within the gate `ignore` of a feature that is in no pair."""
+    pose = load33(covariance)
     for i in range(len(z)):
         if n[i] != NEW or not nearest[i] <= ignore:
             continue
@@ -144,8 +149,8 @@ def _ignore_near_misses(
             paired = False
             for other in n:
                 paired |= other == j
-            if not paired:
-                v, _, V = _innovation(feature, s, theta, covariance, j, z[i], R[i])
+            if not paired and compatible(feature, theta[j], s, pose, z[i]):
+                v, _, V = _innovation(feature, s, theta, covariance, j, z, R, i)
                 if distance2(v, V) <= ignore:
                     n[i] = IGNORED
                     break
@@ -160,11 +165,13 @@ def _compatible_pairs(
 
     nearest (Z,) is lowered to the distance of the nearest feature, in the gate or not.
     """
-    M = 0
+    M, pose = 0, load33(covariance)
     for i in range(len(z)):
         first = M
         for j in range(len(theta)):
-            vj, g, V = _innovation(feature, s, theta, covariance, j, z[i], R[i])
+            if not compatible(feature, theta[j], s, pose, z[i]):
+                continue
+            vj, g, V = _innovation(feature, s, theta, covariance, j, z, R, i)
             distance = distance2(vj, V)  # (25)
             nearest[i] = min(nearest[i], distance)
             if not distance <= gate:
@@ -180,7 +187,9 @@ def _compatible_pairs(
     return M
 
 
-def _joint_innovation_covariance(covariance: Floats, obs: Ints, feat: Ints, G: Floats, R: Floats) -> Floats:
+def _joint_innovation_covariance(
+    feature: Any, covariance: Floats, obs: Ints, feat: Ints, G: Floats, R: ObservationNoise
+) -> Floats:
     """(2M, 2M) of the stacked innovations of M pairs, whose errors share the pose and correlated features."""
     M = len(obs)
     columns = np.concatenate([np.tile([0, 1, 2], (M, 1)), 3 + 2 * feat[:, None] + [0, 1]], axis=1)  # (M, 5)
@@ -188,9 +197,20 @@ def _joint_innovation_covariance(covariance: Floats, obs: Ints, feat: Ints, G: F
     for p in range(M):
         H[2 * p : 2 * p + 2, columns[p]] = G[p]
     C = H @ covariance @ H.T
-    for p in range(M):
-        C[2 * p : 2 * p + 2, 2 * p : 2 * p + 2] += R[obs[p]]
+    _add_noise(feature, obs, G, R, C)
     return C
+
+
+@kernel
+def _add_noise(feature: Any, obs: Any, G: Any, R: Any, C: Any) -> None:
+    """Adds R of observations obs (M,), seen with Jacobians G (M, 2, 5), to the blocks of C (2M, 2M)."""
+    model = load22(R.model)
+    for p in range(len(obs)):
+        G_theta = ((G[p, 0, 3], G[p, 0, 4]), (G[p, 1, 3], G[p, 1, 4]))
+        Rp = total(feature, load22(R.sensor[obs[p]]), G_theta, model)
+        for a in range(2):
+            C[2 * p + a, 2 * p] += Rp[a][0]
+            C[2 * p + a, 2 * p + 1] += Rp[a][1]
 
 
 @kernel
@@ -203,7 +223,7 @@ def _choose_jointly(obs: Any, feat: Any, v: Any, C: Any, gates: Any, work: Any, 
     joint_compatibility(obs, feat, v, C, gates, MAX_NODES, work, n)
 
 
-def update_joint(state: EkfState, frame: Frame, n: Ints, R: Floats) -> tuple[EkfState, Floats]:
+def update_joint(state: EkfState, frame: Frame, n: Ints, R: ObservationNoise) -> tuple[EkfState, Floats]:
     """EKF update by every matched observation in turn, linearised at the running mean; also log N(v; 0, V) (1, Z)."""
     log_p = np.zeros(n.shape)
     if not (n >= 0).any():
@@ -222,7 +242,7 @@ def _update_joint(
     feature: Any, s: Any, theta: Any, covariance: Any, n: Any, z: Any, R: Any, log_p: Any, W: Any, K: Any
 ) -> None:
     """Overwrites s, theta, covariance and log_p, which are the caller's own copies; W, K (3 + 2n, 2) are work space."""
-    size = len(covariance)
+    size, model = len(covariance), load22(R.model)
     for i in range(len(z)):
         if n[i] < 0:
             continue
@@ -232,7 +252,7 @@ def _update_joint(
             for a in range(2):
                 pose = covariance[r, 0] * G_s[a][0] + covariance[r, 1] * G_s[a][1] + covariance[r, 2] * G_s[a][2]
                 W[r, a] = pose + covariance[r, f] * G_theta[a][0] + covariance[r, f + 1] * G_theta[a][1]
-        V00, V01, V11 = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
+        (V00, V01), (_, V11) = total(feature, load22(R.sensor[i]), G_theta, model)
         for c in range(3):
             V00 += G_s[0][c] * W[c, 0]
             V01 += G_s[0][c] * W[c, 1]
@@ -263,24 +283,60 @@ def _update_joint(
                 covariance[c, r] = covariance[r, c]
 
 
-def augment(state: EkfState, frame: Frame, n: Ints, R: Floats) -> EkfState:
+def augment(state: EkfState, frame: Frame, n: Ints, R: ObservationNoise) -> EkfState:
     """Add every unmatched observation: theta = f(s, z), with its correlation to pose and map through F_s (33, 35)."""
     particles, covariance = state
     for i in np.flatnonzero(n[0] == NEW):
         theta, F_s, F_z = inverse(frame.feature, particles.s[0], frame.z[i])
+        _, G_s, G_theta = innovation(frame.feature, theta, particles.s[0], frame.z[i])
+        Ri = np.zeros((2, 2))
+        _add_noise(frame.feature, np.array([i]), np.concatenate([G_s, G_theta], axis=1)[None], R, Ri)
         F_s, F_z = np.array(F_s), np.array(F_z)
         size = len(covariance)
         grown = np.empty((size + 2, size + 2))
         grown[:size, :size] = covariance
         grown[size:, :size] = F_s @ covariance[POSE]
         grown[:size, size:] = grown[size:, :size].T
-        grown[size:, size:] = F_s @ covariance[POSE, POSE] @ F_s.T + F_z @ R[i] @ F_z.T
+        grown[size:, size:] = F_s @ covariance[POSE, POSE] @ F_s.T + F_z @ Ri @ F_z.T
         covariance = grown
         maps = particles.maps.append(
             np.ones((1, 1), bool), np.array([[theta]]), grown[None, None, size:, size:], frame.tags[i : i + 1]
         )
         particles = particles._replace(maps=maps)
     return _with(particles, covariance)
+
+
+PARALLEL = math.radians(0.05)
+"""[rad] Deviation with which two walls of one building are parallel or at right angles."""
+
+PARALLEL_GATE = 6.635
+"""Chi-square of one degree of freedom at 99 %: a wall whose angle is farther off is an oblique one."""
+
+
+def constrain_angles(state: EkfState, feature: Any, added: int) -> EkfState:
+    """Make the last `added` walls parallel or at right angles to the first one, where their angles allow it.
+
+    That phi_j - phi_0 is a multiple of pi/2 enters as an observation, accurate to `PARALLEL`.  Without such knowledge
+    of the building the angles of an EKF's walls become inconsistent (the paper's introduction).
+    """
+    particles, covariance = state.particles, np.array(state.covariance)
+    theta = particles.maps.features(0)[0]
+    s, first = np.array(particles.s[0], float), POSE.stop + 1  # the row of phi_0
+    for j in range(max(len(theta) - added, 1), len(theta)):
+        row = first + 2 * j
+        difference = theta[j, 2] - theta[0, 2]
+        v = wrap(0.5 * math.pi * round(difference / (0.5 * math.pi)) - difference)
+        w = covariance[:, row] - covariance[:, first]
+        V = w[row] - w[first] + PARALLEL**2
+        if v * v > PARALLEL_GATE * V:
+            continue
+        delta = w * (v / V)
+        s += delta[POSE]
+        theta = np.array([draw(feature, theta[i], delta[3 + 2 * i : 5 + 2 * i]) for i in range(len(theta))])
+        covariance = covariance - np.outer(w, w) / V
+    s[2] = wrap(s[2])
+    maps = particles.maps.replace(np.arange(len(theta))[None], theta[None], _feature_blocks(covariance)[None])
+    return _with(particles._replace(s=s[None], maps=maps), covariance)
 
 
 def _feature_blocks(covariance: Floats) -> Floats:

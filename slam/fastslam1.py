@@ -8,10 +8,12 @@ from slam.association import associate
 from slam.phases import (
     add_features,
     draw_pose,
+    extend_features,
+    inflated,
     initial,
     matched_features,
     miss_density,
-    observation_covariance,
+    observation_noise,
     predict_by_sampling,
     resample_if_needed,
     resize,
@@ -24,8 +26,8 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: draw the pose, associate, update the map, weigh, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params.believed)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     if particles.P.any():
         particles = draw_pose(rng, particles)  # an uncertain start
@@ -36,7 +38,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     updated, log_p = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
     log_p = params.temper * log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = add_features(weighted, frame, n, R)  # (33)
+    mapped = extend_features(weighted, frame, n)  # 4.1
+    mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)

@@ -9,11 +9,13 @@ from slam.phases import (
     UNWEIGHED,
     add_features,
     draw_pose,
+    extend_features,
+    inflated,
     initial,
     linearised_at,
     matched_features,
     miss_density,
-    observation_covariance,
+    observation_noise,
     predict,
     resample_if_needed,
     resize,
@@ -27,8 +29,8 @@ from slam.types import Estimator, Frame, Params, Particles, Trace
 def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: Params) -> tuple[Particles, Trace]:
     """One observing step: predict, associate, weigh, correct the pose, draw it, update the map, resample."""
     particles, resized = resize(rng, particles, params)
-    R = observation_covariance(frame, params.believed)
-    R_known = params.inflate_r * R
+    R = observation_noise(frame, params)
+    R_known = inflated(R, params.inflate_r)
 
     predicted = predict(particles, frame, params.believed)  # (21)
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
@@ -41,6 +43,7 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = log_p + log_p_drawn - linearised_at(predicted, frame, matched, R_known, drawn)
     log_p = params.temper * log_p
     mapped, events = reweigh(mapped, log_p)
+    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 

@@ -44,6 +44,8 @@ PARAMS: dict[str, Interval] = {
     "gate_new": Interval(0, 1, open_high=True),
     "inflate_r": Interval(0, 1e12, open_low=True),
     "temper": Interval(0, 1, open_low=True),
+    "floor_lateral": Interval(0, LARGEST),
+    "floor_angle": Interval(0, LARGEST),
     "log_p_new": Interval(-LARGEST, LARGEST),
     "resample_below": Interval(0, 1),
 }

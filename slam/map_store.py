@@ -15,7 +15,6 @@ touch every sibling on a copied path, at several times the price of the copy).
 
 from __future__ import annotations
 
-import math
 from threading import Lock
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
@@ -23,7 +22,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from slam._jit import inline, kernel
-from slam.features import extent
+from slam.features import extent, spread
 from slam.types import UNKNOWN_TAG, Floats, Ints
 
 LEAF = 4
@@ -299,21 +298,20 @@ def _bound(pool: Any, feature: Any, roots: Any, k: Any, depth: Any, i: Any, coun
     leaf = leaf_of(pool, roots[k], depth, i)
     first = i - (i & (LEAF - 1))
     dim = pool.data.shape[2] - 4
-    x0, y0, x1, y1, spread = np.inf, np.inf, -np.inf, -np.inf, 0.0
+    x0, y0, x1, y1, most = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for j in range(min(LEAF, count - first)):
-        a, b, c, d = extent(feature, pool.data[leaf, j])
+        row = pool.data[leaf, j]
+        a, b, c, d = extent(feature, row)
         x0, y0, x1, y1 = min(x0, a), min(y0, b), max(x1, c), max(y1, d)
-        # The trace bounds the largest eigenvalue from above; a search may look a little too far, never too near.
-        spread = max(spread, pool.data[leaf, j, dim] + pool.data[leaf, j, dim + 2])
-    spread = math.sqrt(spread)
+        most = max(most, spread(feature, row, ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))))
     box = pool.leaf_box
-    box[leaf, 0], box[leaf, 1], box[leaf, 2], box[leaf, 3], box[leaf, 4] = x0, y0, x1, y1, spread
+    box[leaf, 0], box[leaf, 1], box[leaf, 2], box[leaf, 3], box[leaf, 4] = x0, y0, x1, y1, most
     node, box = roots[k], pool.node_box
     for level in range(depth - 1, 0, -1):
         node = pool.child[node, (i >> (_LEAF_BITS + _FAN_BITS * level)) & (FAN - 1)]
         box[node, 0], box[node, 1] = min(box[node, 0], x0), min(box[node, 1], y0)
         box[node, 2], box[node, 3] = max(box[node, 2], x1), max(box[node, 3], y1)
-        box[node, 4] = max(box[node, 4], spread)
+        box[node, 4] = max(box[node, 4], most)
 
 
 @kernel

@@ -18,7 +18,7 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.association.jcbb import chi_square_gates
-from slam.features import draw, innovation, inverse
+from slam.features import draw, extend, innovation, inverse, total
 from slam.geometry import wrap
 from slam.linalg import (
     LOG_TWO_PI,
@@ -46,7 +46,7 @@ from slam.linalg import (
 from slam.map_store import Maps, MapStore
 from slam.motion import deviation, propagate
 from slam.resampling import effective_sample_size, normalise, resample, wants_resampling
-from slam.types import NEW, Floats, Frame, Ints, Noise, Params, Particles
+from slam.types import NEW, Floats, Frame, Ints, Noise, ObservationNoise, Params, Particles
 
 ZERO = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -107,11 +107,14 @@ def initial(feature: Any, start: Floats, start_covariance: Floats, params: Param
     )
 
 
-def observation_covariance(frame: Frame, believed: Noise) -> Floats:
-    """R (Z, 2, 2) as the filter believes it (7): independent range and bearing."""
-    R = np.zeros((len(frame.z), 2, 2))
-    R[:, 0, 0], R[:, 1, 1] = believed.range**2, believed.bearing**2
-    return R
+def observation_noise(frame: Frame, params: Params) -> ObservationNoise:
+    """R as the filter believes it (7), the honest one."""
+    return type(frame.feature).believed(frame.z, params)
+
+
+def inflated(R: ObservationNoise, factor: float) -> ObservationNoise:
+    """What matching, weighing and correcting on known features believe: `inflate_r` times the honest covariances."""
+    return ObservationNoise(factor * R.sensor, factor * R.model)
 
 
 # Prediction ---------------------------------------------------------------------------------------------------------
@@ -162,10 +165,10 @@ def matched_features(maps: Maps, n: Ints) -> Matched:
     return Matched(n, *maps.take(n))
 
 
-def weigh_marginal(particles: Particles, frame: Frame, matched: Matched, R: Floats, miss: Miss) -> Floats:
+def weigh_marginal(particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss) -> Floats:
     """(43) to the letter: log N(v; 0, V) (K, Z), every v and V taken at the pose as it is.
 
-    Exact for one observation; for several it ignores that their innovations share the pose error.  R (Z, 2, 2).  An
+    Exact for one observation; for several it ignores that their innovations share the pose error. An
     unmatched observation has the density that `miss` says.
     """
     log_p = np.zeros(matched.n.shape)
@@ -175,35 +178,39 @@ def weigh_marginal(particles: Particles, frame: Frame, matched: Matched, R: Floa
 
 @kernel
 def _weigh(feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any, log_p: Any) -> None:
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
-            Ri = load22(R[i])
+            Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
                 v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
+                Ri = total(feature, Ri, G_theta, model)
                 V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
                 log_p[k, i] = log_density(v, V)
             else:
-                log_p[k, i] = _miss_density(feature, sk, Pk, z[i], Ri, miss.new if n[k, i] == NEW else miss.ignored)
+                log_p[k, i] = _miss_density(
+                    feature, sk, Pk, z[i], Ri, model, miss.new if n[k, i] == NEW else miss.ignored
+                )
 
 
 @inline
-def _miss_density(feature: Any, s: Any, P: Any, z: Any, R: Any, constant: Any) -> Any:
+def _miss_density(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, constant: Any) -> Any:
     """Log density of an unmatched observation (`Miss`), under this particle's V for a feature that stands exactly where
     the observation would create it."""
     if np.isnan(constant):
         return 0.0
     theta, _, _ = inverse(feature, s, z)
-    _, G_s, _ = innovation(feature, theta, s, z)
-    V = add22(sandwich23(G_s, P), R)
+    _, G_s, G_theta = innovation(feature, theta, s, z)
+    V = add22(sandwich23(G_s, P), total(feature, R, G_theta, model))
     log_p = constant - LOG_TWO_PI - 0.5 * np.log(determinant22(V))
     return log_p if np.isfinite(log_p) else 0.0  # what is nowhere, such as a range of zero, says nothing
 
 
 def update_pose(
-    particles: Particles, frame: Frame, matched: Matched, R: Floats, miss: Miss
+    particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss
 ) -> tuple[Particles, Floats]:
-    """(28, 36) EKF update of the pose by every matched observation in turn; R (Z, 2, 2).
+    """(28, 36) EKF update of the pose by every matched observation in turn.
 
     Also log N(v; 0, V) (K, Z) of each under the pose that the ones before left: by the chain rule their sum is the
     exact (joint) log likelihood, that is FastSLAM 2.0's weight (14) in its integrated form, which does not depend on
@@ -219,24 +226,30 @@ def _update_pose(
     feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any,
     s_out: Any, P_out: Any, log_p: Any,
 ) -> None:  # fmt: skip
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
-            Ri = load22(R[i])
+            Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
                 v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
+                Ri = total(feature, Ri, G_theta, model)
                 R_total = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
                 V = add22(sandwich23(G_s, Pk), R_total)
                 log_p[k, i] = log_density(v, V)
                 if log_p[k, i] > -np.inf:  # what is impossible corrects nothing: its gain times infinity is no pose
                     sk, Pk = kalman_pose(sk, Pk, v, G_s, R_total, V)
             else:
-                log_p[k, i] = _miss_density(feature, sk, Pk, z[i], Ri, miss.new if n[k, i] == NEW else miss.ignored)
+                log_p[k, i] = _miss_density(
+                    feature, sk, Pk, z[i], Ri, model, miss.new if n[k, i] == NEW else miss.ignored
+                )
         store3(s_out[k], sk)
         store33(P_out[k], Pk)
 
 
-def linearised_at(particles: Particles, frame: Frame, matched: Matched, R: Floats, drawn: Particles) -> Floats:
+def linearised_at(
+    particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, drawn: Particles
+) -> Floats:
     """log N(v_i - G_i (s - s_i); 0, S_i) (K, Z): the likelihood that `update_pose` saw, at the drawn poses s.
 
     s_i is the running mean at which observation i was linearised, S = G_theta Sigma G_theta^T + R.  Every update is
@@ -254,12 +267,14 @@ def linearised_at(particles: Particles, frame: Frame, matched: Matched, R: Float
 def _linearised_at(
     feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, drawn: Any, log_p: Any
 ) -> None:
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
                 v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                S = add22(sandwich22(G_theta, load22(Sigma[k, i])), load22(R[i]))
+                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
+                S = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
                 V = add22(sandwich23(G_s, Pk), S)
                 if log_density(v, V) > -np.inf:  # as in `_update_pose`
                     away = (drawn[k, 0] - sk[0], drawn[k, 1] - sk[1], wrap(drawn[k, 2] - sk[2]))
@@ -284,9 +299,9 @@ def _draw_pose(s: Any, P: Any, normal: Any, s_out: Any) -> None:
 
 
 def update_features(
-    particles: Particles, frame: Frame, matched: Matched, R: Floats, miss: Miss
+    particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss
 ) -> tuple[Particles, Floats]:
-    """FastSLAM: an EKF for each matched feature, given the pose (P = 0); R (Z, 2, 2).
+    """FastSLAM: an EKF for each matched feature, given the pose (P = 0).
 
     Also log N(v; 0, V) (K, Z), V = G_theta Sigma G_theta^T + R: FastSLAM 1.0's weight, exact because features are
     independent given the path.
@@ -307,13 +322,15 @@ def _update_features(
     feature: Any, s: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any,
     theta_out: Any, Sigma_out: Any, log_p: Any,
 ) -> None:  # fmt: skip
+    model = load22(R.model)
     for k in range(len(s)):
         sk = load3(s[k])
         for i in range(len(z)):
-            Ri = load22(R[i])
+            Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
                 Sk = load22(Sigma[k, i])
                 v, _, G_theta = innovation(feature, theta[k, i], sk, z[i])
+                Ri = total(feature, Ri, G_theta, model)
                 V = add22(sandwich22(G_theta, Sk), Ri)
                 log_p[k, i] = log_density(v, V)
                 delta, S_new = (0.0, 0.0), Sk
@@ -324,13 +341,15 @@ def _update_features(
                     theta_out[k, i, m] = moved[m]
                 store22(Sigma_out[k, i], S_new)
             else:
-                log_p[k, i] = _miss_density(feature, sk, ZERO, z[i], Ri, miss.new if n[k, i] == NEW else miss.ignored)
+                log_p[k, i] = _miss_density(
+                    feature, sk, ZERO, z[i], Ri, model, miss.new if n[k, i] == NEW else miss.ignored
+                )
 
 
 # New features -------------------------------------------------------------------------------------------------------
 
 
-def add_features(particles: Particles, frame: Frame, n: Ints, R: Floats) -> Particles:
+def add_features(particles: Particles, frame: Frame, n: Ints, R: ObservationNoise) -> Particles:
     """FastSLAM: (33) theta = f(s, z), Sigma = F_z R F_z^T, for every unmatched observation; R (Z, 2, 2), the honest
     one."""
     new = n == NEW
@@ -343,20 +362,25 @@ def add_features(particles: Particles, frame: Frame, n: Ints, R: Floats) -> Part
 
 @kernel
 def _add_features(feature: Any, s: Any, new: Any, z: Any, R: Any, theta_out: Any, Sigma_out: Any) -> None:
+    model = load22(R.model)
     for k in range(len(s)):
         sk = load3(s[k])
         for i in range(len(z)):
             if new[k, i]:
                 theta, _, F_z = inverse(feature, sk, z[i])
+                _, _, G_theta = innovation(feature, theta, sk, z[i])
+                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
                 for m in range(len(theta)):
                     theta_out[k, i, m] = theta[m]
-                store22(Sigma_out[k, i], sandwich22(F_z, load22(R[i])))
+                store22(Sigma_out[k, i], sandwich22(F_z, Ri))
 
 
-def draw_features(rng: np.random.Generator, particles: Particles, frame: Frame, n: Ints, R: Floats) -> Particles:
+def draw_features(
+    rng: np.random.Generator, particles: Particles, frame: Frame, n: Ints, R: ObservationNoise
+) -> Particles:
     """Dual FastSLAM: (34) theta ~ N(f(s, z), F_s P F_s^T + F_z R F_z^T), frozen, then (37) EKF the pose on it.
 
-    Each unmatched observation in turn, drawn from the P that the ones before left; R (Z, 2, 2), the honest one.  The
+    Each unmatched observation in turn, drawn from the P that the ones before left; R is the honest one.  The
     paper prints (34) with a bare R, which has not the dimensions of a range-bearing feature: F_z R F_z^T is meant.
     Draws no random number when nothing is new.
     """
@@ -384,12 +408,14 @@ def _draw_features(
     P_out: Any,
     theta_out: Any,
 ) -> None:
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if new[k, i]:
-                Ri = load22(R[i])
                 mean, F_s, F_z = inverse(feature, sk, z[i])
+                _, _, G_theta = innovation(feature, mean, sk, z[i])
+                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
                 spread = factor22(add22(sandwich23(F_s, Pk), sandwich22(F_z, Ri)))
                 theta = draw(feature, mean, times22(spread, (normal[k, i, 0], normal[k, i, 1])))
                 for m in range(len(theta)):
@@ -400,6 +426,33 @@ def _draw_features(
                     sk, Pk = kalman_pose(sk, Pk, v, G_s, Ri, V)
         store3(s_out[k], sk)
         store33(P_out[k], Pk)
+
+
+# What is not uncertain ---------------------------------------------------------------------------------------------
+
+
+def extend_features(particles: Particles, frame: Frame, n: Ints) -> Particles:
+    """(4.1) A wall reaches as far as it was ever seen: matched pieces extend it, seen from the pose as it is.
+
+    The coordinates that are drawn, or have a Sigma, stay as they are.  Points have no extent.
+    """
+    if not type(frame.feature).grows or not (n >= 0).any():
+        return particles
+    theta, Sigma = particles.maps.take(n)
+    _extend_features(frame.feature, particles.s, n, frame.z, theta)
+    return particles._replace(maps=particles.maps.replace(n, theta, Sigma))
+
+
+@kernel
+def _extend_features(feature: Any, s: Any, n: Any, z: Any, theta: Any) -> None:
+    """Overwrites theta (K, Z, D), which is the caller's own copy."""
+    for k in range(len(s)):
+        sk = load3(s[k])
+        for i in range(len(z)):
+            if n[k, i] >= 0:
+                extended = extend(feature, theta[k, i], sk, z[i])
+                for m in range(len(extended)):
+                    theta[k, i, m] = extended[m]
 
 
 # Weights and resampling ---------------------------------------------------------------------------------------------

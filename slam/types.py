@@ -35,6 +35,21 @@ ProposalWeightName = Literal["integrated", "drawn"]
 ResamplerName = Literal["systematic", "stratified", "residual", "multinomial"]
 
 
+class Scan(NamedTuple):
+    """A laser scan: what came back to one place, beam by beam, counter-clockwise."""
+
+    ranges: Floats
+    """(B,) [m]; inf where nothing came back."""
+    bearings: Floats
+    """(B,) [rad], increasing; seen from the laser, whose x axis is 0."""
+    origin: Floats
+    """(3,) [m, m, rad] pose of the laser on the robot."""
+    max_range: float
+    """[m] beyond which it sees nothing."""
+    walls: Ints | None = None
+    """(B,) tag of the wall that each beam met, `UNKNOWN_TAG` for none.  Only a simulation knows."""
+
+
 class Frame(NamedTuple):
     """One observing step: the controls since the observation before, then what the sensor saw.
 
@@ -50,12 +65,14 @@ class Frame(NamedTuple):
     dt: Floats
     """(T,) [s] duration of each tick."""
     feature: Any
-    """The feature kind of `z`: `Point()`."""
+    """The feature kind of `z`: `Point()` or `Wall()`."""
     z: Floats
-    """(Z, d) observations; for points (range [m], bearing [rad])."""
+    """(Z, d) observations; for points (range [m], bearing [rad]), for walls see `slam.features.wall`."""
     tags: Ints
     """(Z,) identity of the thing seen, or `UNKNOWN_TAG`.  Read by known association and by scoring, by nothing else.
     No two in one frame are alike, and none exceeds 2^53."""
+    scan: Scan | None = None
+    """What the laser saw, if there is one: `slam.perception` makes z of it."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +89,16 @@ class Noise:
     """[rad] of a measured bearing (section 5.1 prints 0.003*pi/180: 0.003 degrees)."""
     odometry: float = 0.10
     """Deviation of an odometry increment, as a fraction of the motion."""
+
+
+class ObservationNoise(NamedTuple):
+    """R (7), as a filter believes it, for the observations of one frame."""
+
+    sensor: Floats
+    """(Z, 2, 2) covariance of each observation."""
+    model: Floats
+    """(2, 2) covariance of what a feature is beside what it is taken for, in its uncertain coordinates (ours): a wall
+    is no perfect line, and what is seen of it far from where it was made is off by more than nearby."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +128,12 @@ class Params:
     feature)."""
     temper: float = 1.0
     """Exponent on the observation likelihood; 1 is the paper."""
+    floor_lateral: float = 0.005
+    """[m] Deviation of a wall from the straight line that it is taken for (ours): what no sensor noise explains."""
+    floor_angle: float = math.radians(0.1)
+    """[rad] The same of its angle."""
+    orthogonal: bool = False
+    """EKF-SLAM on walls: a new wall that may be parallel or at right angles to the first one is made so."""
     log_p_new: float = 0.0
     """Added to the log density of an unmatched observation (unknown association only)."""
     resampler: ResamplerName = "systematic"

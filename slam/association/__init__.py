@@ -20,10 +20,10 @@ import numpy as np
 from slam._jit import inline, kernel
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import innovation, region
+from slam.features import compatible, innovation, region, total
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
 from slam.map_store import FAN, LEAF, leaf_of, search
-from slam.types import IGNORED, NEW, Floats, Frame, Ints, Params, Particles
+from slam.types import IGNORED, NEW, Floats, Frame, Ints, ObservationNoise, Params, Particles
 
 MAX_CANDIDATES = 8
 """Features that one observation may choose from: the nearest of those that passed the gate (ours)."""
@@ -32,10 +32,10 @@ MAX_PAIRS = 512
 """Pairs of one particle in all, though every observation may keep one: the joint covariance has its square (ours)."""
 
 
-def associate(particles: Particles, frame: Frame, R: Floats, params: Params) -> Ints:
+def associate(particles: Particles, frame: Frame, R: ObservationNoise, params: Params) -> Ints:
     """n (K, Z): for every particle the feature of its map that each observation is of, NEW or IGNORED.
 
-    R (Z, 2, 2) is the covariance that matching believes, that is with `inflate_r`.  An observation that is not finite
+    R is what matching believes, that is with `inflate_r`.  An observation that is not finite
     is IGNORED.
     """
     n = _associated(particles, frame, R, params)
@@ -43,7 +43,7 @@ def associate(particles: Particles, frame: Frame, R: Floats, params: Params) -> 
     return n
 
 
-def _associated(particles: Particles, frame: Frame, R: Floats, params: Params) -> Ints:
+def _associated(particles: Particles, frame: Frame, R: ObservationNoise, params: Params) -> Ints:
     maps = particles.maps
     if params.association == "known":
         n = maps.find(frame.tags)
@@ -108,12 +108,14 @@ def _workspace(Z: int, depth: int, features: int) -> _Work:
 
 @kernel
 def _ignore_outliers(feature: Any, s: Any, P: Any, theta: Any, Sigma: Any, z: Any, R: Any, gate: Any, n: Any) -> None:
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
                 v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), load22(R[i]))
+                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
+                V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
                 if not distance2(v, V) <= gate:
                     n[k, i] = IGNORED
 
@@ -130,21 +132,24 @@ def _associate(
 ) -> None:  # fmt: skip
     Z, dim = len(z), pool.data.shape[2] - 4
     obs, feat, d2, nearest, free, v, G, V, C, stack, found, jcbb = work
-    reach = math.sqrt(max(gates[1], ignore))
+    reach, model = math.sqrt(max(gates[1], ignore)), load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         M = 0
         for i in range(Z):
-            Ri = load22(R[i])
-            box, beyond = region(feature, sk, Pk, z[i], Ri, reach)  # (4.3) look where the gate can reach
+            Ri = load22(R.sensor[i])
+            box, beyond = region(feature, sk, Pk, z[i], Ri, model, reach)  # (4.3) look where the gate can reach
             first = M
             nearest[i] = np.inf
             for c in range(search(pool, roots[k], depth, counts[k], box, beyond, stack, found)):
                 j = found[c]
                 row = pool.data[leaf_of(pool, roots[k], depth, j), j & (LEAF - 1)]
+                if not compatible(feature, row, sk, Pk, z[i]):
+                    continue
                 vj, G_s, G_theta = innovation(feature, row, sk, z[i])  # (23, 24)
                 Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-                Vj = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, Sigma)), Ri)
+                Rj = total(feature, Ri, G_theta, model)
+                Vj = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, Sigma)), Rj)
                 distance = distance2(vj, Vj)  # (25)
                 nearest[i] = min(nearest[i], distance)
                 if not distance <= gates[1]:  # (27)
@@ -165,19 +170,20 @@ def _associate(
             nearest_first(obs[:M], feat[:M], d2[:M], free[:M], n[k])
         for i in range(Z):
             if n[k, i] == NEW and nearest[i] <= ignore and _may_be_known(
-                pool, roots[k], counts[k], depth, feature, sk, Pk, z[i], load22(R[i]), ignore, n[k], stack, found
+                pool, roots[k], counts[k], depth, feature, sk, Pk, z[i], load22(R.sensor[i]), model, ignore,
+                n[k], stack, found,
             ):  # fmt: skip
                 n[k, i] = IGNORED
 
 
 @inline
 def _may_be_known(
-    pool: Any, root: Any, count: Any, depth: Any, feature: Any, s: Any, P: Any, z: Any, R: Any,
+    pool: Any, root: Any, count: Any, depth: Any, feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any,
     ignore: Any, n: Any, stack: Any, found: Any,
 ) -> Any:  # fmt: skip
     """Whether an unpaired observation is within the gate `ignore` of a feature that is in no pair of n (Z,)."""
     dim = pool.data.shape[2] - 4
-    box, beyond = region(feature, s, P, z, R, math.sqrt(ignore))
+    box, beyond = region(feature, s, P, z, R, model, math.sqrt(ignore))
     for c in range(search(pool, root, depth, count, box, beyond, stack, found)):
         j = found[c]
         paired = False
@@ -186,9 +192,12 @@ def _may_be_known(
         if paired:
             continue
         row = pool.data[leaf_of(pool, root, depth, j), j & (LEAF - 1)]
+        if not compatible(feature, row, s, P, z):
+            continue
         v, G_s, G_theta = innovation(feature, row, s, z)
         Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-        if distance2(v, add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), R)) <= ignore:
+        V = add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), total(feature, R, G_theta, model))
+        if distance2(v, V) <= ignore:
             return True
     return False
 

@@ -6,14 +6,22 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
     innovation(feature, theta, s, z) -> v (2,), G_s (2, 3), G_theta (2, 2)
     inverse(feature, s, z)           -> theta (D,), F_s (2, 3), F_z (2, 2)
     draw(feature, theta, delta)      -> theta displaced by delta (2,) in the two coordinates that are uncertain
+    total(feature, R, G_theta, model)-> R of an observation that is paired with a feature: with the error of the model
     extent(feature, theta)           -> (x_min, y_min, x_max, y_max) [m], for the search over the map
-    region(feature, s, P, z, R, reach)
+    spread(feature, theta, Sigma)    -> the largest deviation [m] that Sigma gives any part of it, for the search
+    compatible(feature, theta, s, P, z)
+                                     -> whether z may be of it, beside what the distance (25) says
+    extend(feature, theta, s, z)     -> theta with what z shows of it that is not uncertain: how far a wall reaches
+    region(feature, s, P, z, R, model, reach)
                                      -> such a box, and how far beyond it a feature with Sigma may stand, for each
-                                        metre of its deviation: no feature outside has a distance (25) <= reach^2
+                                        metre of its deviation (`spread`): no compatible feature outside has a distance
+                                        (25) <= reach^2
 
 `v = z - g(s, theta)` (23), with G_s = dg/ds and G_theta = dg/dtheta (24); F_s and F_z are those of (35).  The two
-columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y). Class
-attributes: `dim` = D numbers that describe a feature, `observation` = d numbers of one observation.
+columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y), for a wall
+its lateral offset and its angle.  Class attributes: `dim` = D numbers that describe a feature, `observation` = d
+numbers of one observation, `grows` = whether `extend` does anything; and
+believed(z (Z, d), params) -> `ObservationNoise`.
 """
 
 from __future__ import annotations
@@ -23,8 +31,21 @@ from typing import Any
 from numba.extending import overload
 
 from slam.features.point import Point
+from slam.features.wall import Wall
 
-__all__ = ["Point", "draw", "extent", "innovation", "inverse", "region"]
+__all__ = [
+    "Point",
+    "Wall",
+    "compatible",
+    "draw",
+    "extend",
+    "extent",
+    "innovation",
+    "inverse",
+    "region",
+    "spread",
+    "total",
+]
 
 
 def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -47,9 +68,29 @@ def extent(feature: Any, theta: Any) -> Any:
     return type(feature).extent(feature, theta)
 
 
-def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+    """R (2, 2) of an observation that is paired with a feature: its own, and what the feature's model leaves out."""
+    return type(feature).total(feature, R, G_theta, model)
+
+
+def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+    """[m] the largest deviation that Sigma gives any part of a feature."""
+    return type(feature).spread(feature, theta, Sigma)
+
+
+def compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
+    """Whether z, seen from N(s, P), may be of the feature, beside what the distance (25) says."""
+    return type(feature).compatible(feature, theta, s, P, z)
+
+
+def extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+    """The feature with what z shows of it that is not uncertain."""
+    return type(feature).extend(feature, theta, s, z)
+
+
+def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     """Where z may be of a feature: (x_min, y_min, x_max, y_max) [m], and metres more for each metre of deviation."""
-    return type(feature).region(feature, s, P, z, R, reach)
+    return type(feature).region(feature, s, P, z, R, model, reach)
 
 
 @overload(innovation)
@@ -72,6 +113,26 @@ def _extent(feature: Any, theta: Any) -> Any:
     return feature.instance_class.extent
 
 
+@overload(total)
+def _total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+    return feature.instance_class.total
+
+
+@overload(spread)
+def _spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+    return feature.instance_class.spread
+
+
+@overload(compatible)
+def _compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
+    return feature.instance_class.compatible
+
+
+@overload(extend)
+def _extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+    return feature.instance_class.extend
+
+
 @overload(region)
-def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     return feature.instance_class.region

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from slam._jit import inline
 from slam.geometry import wrap
 from slam.linalg import largest_eigenvalue22
+from slam.types import Floats, ObservationNoise, Params
 
 
 @inline
@@ -28,6 +31,19 @@ class Point(NamedTuple):
 
     dim = 2
     observation = 2
+    grows = False
+
+    @staticmethod
+    def believed(z: Floats, params: Params) -> ObservationNoise:
+        """Independent range and bearing; a landmark is a point indeed."""
+        R = np.zeros((len(z), 2, 2))
+        R[:, 0, 0], R[:, 1, 1] = params.believed.range**2, params.believed.bearing**2
+        return ObservationNoise(R, np.zeros((2, 2)))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        """Its own."""
+        return R
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -55,12 +71,27 @@ class Point(NamedTuple):
         return (theta[0] + delta[0], theta[1] + delta[1])
 
     @staticmethod
+    def compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
+        """The distance (25) says all."""
+        return True
+
+    @staticmethod
+    def extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+        """A point is seen whole or not at all."""
+        return (theta[0], theta[1])
+
+    @staticmethod
+    def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+        """The trace bounds the largest eigenvalue from above: a search may look a little too far, never too near."""
+        return math.sqrt(Sigma[0][0] + Sigma[1][1])
+
+    @staticmethod
     def extent(feature: Any, theta: Any) -> Any:
         """A point covers itself."""
         return theta[0], theta[1], theta[0], theta[1]
 
     @staticmethod
-    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, reach: Any) -> Any:
+    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
         """Box around a sector of an annulus, not linearised: a heading error of 0.3 rad is far off its tangent at 20 m.
 
         A distance (25) is at least v^2 / V of the range alone and of the bearing alone.  With d the range of the

@@ -192,6 +192,7 @@ def test_fixed_names():
 def test_options_reach_the_parameters():
     line = """run paper-line --particles 7 --association nearest --gate 0.9 --weighting joint --inflate-r 4 --temper 0.5
     --log-p-new -2 --resampler residual --resample-below 0.5 --noise.range 0.1 --noise.turn 2 --believed.bearing 0.5
+    --floor-lateral 0.01 --floor-angle 0.2 --orthogonal
     --proposal-weight drawn --gate-known 0.8 --gate-new 0.7 --vehicle ackermann --filters ekf dfs"""
     command, own = command_line.parse(line.split())
     assert own == {"--vehicle": "ackermann"}
@@ -210,6 +211,9 @@ def test_options_reach_the_parameters():
         proposal_weight="drawn",
         inflate_r=4.0,
         temper=0.5,
+        floor_lateral=0.01,
+        floor_angle=math.radians(0.2),
+        orthogonal=True,
         log_p_new=-2.0,
         resampler="residual",
         resample_below=0.5,

@@ -116,6 +116,13 @@ def test_a_world_of_ones_own(tmp_path: Path) -> None:
     assert math.dist(truth[:2], (10, 8)) < 0.45  # stops between two observations
 
 
+def test_defaults_come_back(tmp_path: Path) -> None:
+    made = replace(scenario("corridor"), defaults={"floor_angle": math.radians(0.1), "orthogonal": True})
+    path = tmp_path / "defaults.toml"
+    write_world(path, made)
+    assert read_scenario(path).defaults == made.defaults
+
+
 def test_a_perfect_sensor_is_a_warning(tmp_path: Path) -> None:
     assert read_world(write(tmp_path, GOOD)).warnings == ()
     [warning] = read_world(write(tmp_path, GOOD.replace("range = 0.02", "range = 0"))).warnings
@@ -223,6 +230,8 @@ BAD = [
     ("particles = 20", "inflate_r = -1", ["defaults.inflate_r is -1", "between 0 and"]),
     ("particles = 20", "gate = 5", ["defaults.gate is 5", "between 0 and 1, both excluded"]),
     ("particles = 20", "temper = 0", ["defaults.temper is 0", "0 excluded"]),
+    ("particles = 20", "floor_angle = -0.1", ["defaults.floor_angle is -0.1", "between 0 and"]),
+    ("particles = 20", "orthogonal = 1", ["defaults.orthogonal is 1", "true or false"]),
     ('association = "known"', 'association = "jcb"', ["defaults.association is 'jcb'", "'jcbb'"]),
     ("[route]", '[vehicle]\nkind = "bike"\n[route]', ["vehicle.kind is 'bike'", "unicycle, ackermann"]),
     ("[route]", "[vehicle]\nwheelbase = 2\n[route]", ["vehicle.wheelbase is not a known key"]),

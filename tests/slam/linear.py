@@ -15,7 +15,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 
 from slam.motion import Odometry
-from slam.types import Floats, Frame, Noise
+from slam.types import Floats, Frame, Noise, ObservationNoise, Params
 
 
 class Linear(NamedTuple):
@@ -26,6 +26,16 @@ class Linear(NamedTuple):
 
     dim = 2
     observation = 2
+    grows = False
+
+    @staticmethod
+    def believed(z: Floats, params: Params) -> ObservationNoise:
+        variance = np.array([params.believed.range, params.believed.bearing]) ** 2
+        return ObservationNoise(np.tile(np.diag(variance), (len(z), 1, 1)), np.zeros((2, 2)))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        return R
 
     @staticmethod
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
@@ -39,6 +49,10 @@ class Linear(NamedTuple):
     @staticmethod
     def draw(feature: Any, theta: Any, delta: Any) -> Any:
         return (theta[0] + delta[0], theta[1] + delta[1])
+
+    @staticmethod
+    def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+        return np.sqrt(Sigma[0][0] + Sigma[1][1])
 
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:

@@ -15,6 +15,7 @@ from slam.types import Floats
 
 PI = math.pi
 POINT = Point()
+NO_MODEL = ((0.0, 0.0), (0.0, 0.0))
 
 
 def situations() -> Iterator[tuple[Floats, Floats]]:
@@ -119,7 +120,7 @@ def test_nothing_outside_the_region_is_within_reach() -> None:
     for s, z in [pair for _ in range(20) for pair in situations()]:
         P, Sigma, R = covariances(rng)
         reach = rng.uniform(1.0, 5.3)
-        box, beyond = region(POINT, s, P, z, R, reach)
+        box, beyond = region(POINT, s, P, z, R, NO_MODEL, reach)
         # around the robot at all ranges and bearings, half of them close to what was seen
         count = 400
         width = np.where(rng.random(count) < 0.5, 1.0, 10.0 ** rng.uniform(-4, 0, count))
@@ -153,7 +154,7 @@ def test_the_region_of_a_good_sensor_is_small() -> None:
     R = np.diag([0.003, math.radians(0.003)]) ** 2
     for heading in np.linspace(-PI, PI, 17):
         s, z = np.array([100.0, -50.0, heading]), np.array([20.0, 0.4])
-        box, beyond = region(POINT, s, np.zeros((3, 3)), z, R, 3.0)
+        box, beyond = region(POINT, s, np.zeros((3, 3)), z, R, NO_MODEL, 3.0)
         (x, y), _, _ = inverse(POINT, s, z)
         assert box[0] <= x <= box[2]
         assert box[1] <= y <= box[3]
@@ -163,7 +164,7 @@ def test_the_region_of_a_good_sensor_is_small() -> None:
 
 def test_a_feature_at_the_robot_may_be_seen_in_any_direction() -> None:
     s, z = np.array([1.0, 2.0, 0.5]), np.array([0.5, 0.1])
-    box, _ = region(POINT, s, np.diag([0.3, 0.3, 0.01]) ** 2, z, np.diag([0.1, 0.01]) ** 2, 3.0)
+    box, _ = region(POINT, s, np.diag([0.3, 0.3, 0.01]) ** 2, z, np.diag([0.1, 0.01]) ** 2, NO_MODEL, 3.0)
     for direction in np.linspace(-PI, PI, 9):
         x, y = 1.0 + 0.6 * math.cos(direction), 2.0 + 0.6 * math.sin(direction)
         assert box[0] < x < box[2]
@@ -178,7 +179,7 @@ def test_compiled_code_is_the_same_code(s: tuple[float, float, float]) -> None:
             inverse(feature, s, z),
             draw(feature, theta, delta),
             extent(feature, theta),
-            region(feature, s, P, z, R, 3.0),
+            region(feature, s, P, z, R, NO_MODEL, 3.0),
         )
     )
     rng = np.random.default_rng(5)
@@ -195,7 +196,7 @@ def test_compiled_code_is_the_same_code(s: tuple[float, float, float]) -> None:
             inverse(POINT, s, z),
             draw(POINT, theta, delta),
             extent(POINT, theta),
-            region(POINT, s, P, z, R, 3.0),
+            region(POINT, s, P, z, R, NO_MODEL, 3.0),
         )
         for a, b in zip(flat(found), flat(expected), strict=True):
             assert a == pytest.approx(b, rel=1e-12, abs=1e-12) or abs(wrap(a - b)) < 1e-12

@@ -20,14 +20,14 @@ from slam.phases import (
     Matched,
     Miss,
     miss_density,
-    observation_covariance,
+    observation_noise,
     select,
     update_features,
     update_pose,
     weigh_marginal,
 )
 from slam.resampling import SCHEMES
-from slam.types import IGNORED, NEW, Floats, Frame, Noise, Params, Particles, Trace
+from slam.types import IGNORED, NEW, Floats, Frame, Noise, ObservationNoise, Params, Particles, Trace
 from tests.slam import plain
 from tests.slam.linear import Linear, uncached_kernels
 
@@ -300,7 +300,7 @@ def test_the_gate_lets_through_what_it_says(uncertain: str, association: Any) ->
     maps = MapStore(Point()).empty(1).append(np.ones((1, 1), bool), theta[None, None], Sigma[None, None], np.array([0]))
     particles = Particles(s[None], P[None], np.zeros(1), np.zeros(1, np.int64), maps)
     empty = Frame(0.0, Unicycle(), np.empty((0, 2)), np.empty(0), Point(), np.empty((1, 2)), np.array([-1]))
-    R = observation_covariance(empty, noise)
+    R = observation_noise(empty, Params(believed=noise))
     observations = []
     for _ in range(trials):
         true_s = s + (factor @ rng.standard_normal(3) if uncertain != "map" else 0.0)
@@ -346,15 +346,16 @@ def weigh_pair(particles: Particles, v: Floats, R: Floats, log_miss: Miss) -> tu
     `update_features` is for P = 0 only.
     """
     frame = Frame(0.0, Odometry(), np.empty((0, 3)), np.empty(0), Linear(), np.array([[4.0, 5.0]]) + v, np.array([-1]))
+    noise = ObservationNoise(R[None], np.zeros((2, 2)))
     answers: list[list[float]] = []
     for n in (0, NEW):
         matched = Matched(np.array([[n]]), np.array([[[4.0, 5.0]]]), np.zeros((1, 1, 2, 2)))
-        marginal = weigh_marginal(particles, frame, matched, R[None], log_miss)
-        _, joint = update_pose(particles, frame, matched, R[None], log_miss)
+        marginal = weigh_marginal(particles, frame, matched, noise, log_miss)
+        _, joint = update_pose(particles, frame, matched, noise, log_miss)
         densities = [float(marginal[0, 0]), float(joint[0, 0])]
         if not particles.P.any():
             known = MapStore(Linear()).empty(1).append(np.ones((1, 1), bool), matched.theta, matched.Sigma, frame.tags)
-            _, given_pose = update_features(particles._replace(maps=known), frame, matched, R[None], log_miss)
+            _, given_pose = update_features(particles._replace(maps=known), frame, matched, noise, log_miss)
             densities.append(float(given_pose[0, 0]))
         answers.append(densities)
     return answers[0], answers[1]

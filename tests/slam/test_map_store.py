@@ -21,6 +21,8 @@ class Segment(NamedTuple):
 
     dim = 5
 
+    spread = Point.spread
+
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:
         return theta[0] + theta[3], theta[1] + theta[3], theta[0] + theta[4], theta[1] + theta[4]
@@ -30,6 +32,8 @@ class Place(NamedTuple):
     """Three numbers a feature."""
 
     dim = 3
+
+    spread = Point.spread
 
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:

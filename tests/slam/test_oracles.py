@@ -28,7 +28,7 @@ from slam.features import Point
 from slam.geometry import wrap_all
 from slam.map_store import MapStore
 from slam.phases import UNWEIGHED, Matched, add_features, draw_features, predict, update_features, update_pose
-from slam.types import NEW, Floats, Params, Particles
+from slam.types import NEW, Floats, ObservationNoise, Params, Particles
 from tests.slam import linear, plain
 from tests.slam.linear import LANDMARKS, Linear, joint_kalman, limit_of_dual_fastslam, simulate_linear, uncached_kernels
 
@@ -291,7 +291,7 @@ def test_chained_densities_are_the_stacked_one(frozen: bool) -> None:
     matched = Matched(np.tile(np.arange(Z), (many, 1)), theta, factor @ factor.swapaxes(2, 3))
     R = np.tile(np.diag([0.25, 0.2]) ** 2, (Z, 1, 1))
     particles = Particles(s, P, np.zeros(many), np.arange(many), MapStore(Linear()).empty(many))
-    _, log_p = update_pose(particles, frame, matched, R, UNWEIGHED)
+    _, log_p = update_pose(particles, frame, matched, ObservationNoise(R, np.zeros((2, 2))), UNWEIGHED)
 
     G = np.tile(np.eye(2, 3), (Z, 1))  # dz/ds, but for its sign
     for k in range(many):

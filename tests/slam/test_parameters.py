@@ -129,6 +129,6 @@ def test_an_observation_that_is_no_number_is_ignored(key: str, association: Any)
 
 def test_every_number_has_its_limits() -> None:
     """And the defaults lie within."""
-    numbers = {name: value for name, value in vars(Params()).items() if isinstance(value, int | float)}
+    numbers = {name: value for name, value in vars(Params()).items() if type(value) in (int, float)}
     assert numbers.keys() == PARAMS.keys()
     assert all(value in PARAMS[name] for name, value in numbers.items())

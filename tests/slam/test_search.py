@@ -19,7 +19,7 @@ from slam.association.jcbb import chi_square_gates
 from slam.features import Point
 from slam.map_store import FAN, LEAF, Maps, MapStore, search
 from slam.motion import Unicycle
-from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, Params, Particles
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
 from tests.slam import test_jcbb
 
 PI = math.pi
@@ -173,6 +173,11 @@ class Case(NamedTuple):
     """Features per square metre."""
 
 
+def noise(R: Floats) -> ObservationNoise:
+    """R (Z, 2, 2) of points."""
+    return ObservationNoise(R, np.zeros((2, 2)))
+
+
 CASES = {
     "dual-accurate": Case(0.02, 0.005, 0.003, 5e-5, 0.0, 0.1),
     "dual-after-a-turn": Case(0.02, 0.1, 0.003, 5e-5, 0.0, 0.1),
@@ -263,7 +268,7 @@ def test_association_is_that_of_looking_at_all_features(association: str, case: 
     matched, looked_at, passed = 0, 0, 0
     for _ in range(8):
         particles, frame, R = situation(rng, CASES[case], K, Z)
-        n = associate(particles, frame, R, params)
+        n = associate(particles, frame, noise(R), params)
         for k in range(K):
             expected, in_gate = associated_by_looking_at_all(particles, k, frame, R, params)
             np.testing.assert_array_equal(n[k], expected)
@@ -286,7 +291,7 @@ def test_a_feature_far_along_the_arc_is_found(association: str, direction: float
             0.0, Unicycle(), np.zeros((0, 2)), np.zeros(0), Point(), np.array([[20.0, 0.0]]), np.array([UNKNOWN_TAG])
         )
         particles = Particles(s, P[None], np.zeros(1), np.arange(1), maps)
-        n = associate(particles, frame, np.diag([0.003, 0.003])[None] ** 2, Params(association=association))
+        n = associate(particles, frame, noise(np.diag([0.003, 0.003])[None] ** 2), Params(association=association))
         assert n.tolist() == [[0]]
 
 
@@ -301,7 +306,7 @@ def test_a_crowd_does_not_hide_the_right_feature() -> None:
     frame = Frame(0.0, Unicycle(), np.zeros((0, 2)), np.zeros(0), Point(), np.array([[10.0, 0.0]]), np.array([7]))
     particles = Particles(np.zeros((1, 3)), P[None], np.zeros(1), np.arange(1), maps)
     R = np.diag([0.01, 0.001])[None] ** 2
-    assert associate(particles, frame, R, Params(association="nearest")).tolist() == [[right]]
+    assert associate(particles, frame, noise(R), Params(association="nearest")).tolist() == [[right]]
 
 
 def test_a_feature_where_the_robot_stands_spoils_nothing() -> None:
@@ -311,7 +316,7 @@ def test_a_feature_where_the_robot_stands_spoils_nothing() -> None:
     particles = Particles(np.zeros((1, 3)), np.diag([2.0, 2.0, 0.1])[None], np.zeros(1), np.arange(1), maps)
     for association in ("nearest", "jcbb"):
         params = Params(association=association)
-        assert associate(particles, frame, np.diag([0.1, 0.01])[None] ** 2, params).tolist() == [[1]]
+        assert associate(particles, frame, noise(np.diag([0.1, 0.01])[None] ** 2), params).tolist() == [[1]]
 
 
 @pytest.mark.parametrize("association", ["known", "nearest", "jcbb"])
@@ -322,5 +327,5 @@ def test_nothing_seen_and_nothing_known(association: str) -> None:
         frame = Frame(0.0, Unicycle(), np.zeros((0, 2)), np.zeros(0), Point(), np.ones((Z, 2)), np.arange(Z))
         maps = maps_of(theta, np.zeros((3, size, 2, 2)))
         particles = Particles(np.zeros((3, 3)), np.zeros((3, 3, 3)), np.zeros(3), np.arange(3), maps)
-        n = associate(particles, frame, np.tile(np.eye(2), (Z, 1, 1)), params)
+        n = associate(particles, frame, noise(np.tile(np.eye(2), (Z, 1, 1))), params)
         assert n.tolist() == [[NEW] * Z] * 3

@@ -17,7 +17,7 @@ from slam.features import Point
 from slam.geometry import wrap_all
 from slam.map_store import MapStore
 from slam.motion import Unicycle
-from slam.phases import UNWEIGHED, matched_features, observation_covariance, update_features
+from slam.phases import UNWEIGHED, matched_features, observation_noise, update_features
 from slam.types import IGNORED, NEW, Floats, Frame, Noise, Params, Particles, Trace
 from tests.slam import plain
 
@@ -203,7 +203,7 @@ def test_permuted_particles_give_permuted_results(association: Any) -> None:
     np.testing.assert_array_equal(b.n, a.n[order])
     np.testing.assert_array_equal(b.weighted.s, a.weighted.s[order])
     np.testing.assert_array_equal(b.log_likelihood, a.log_likelihood[order])
-    R = observation_covariance(frame, plain.WORLD_NOISE)
+    R = observation_noise(frame, Params(believed=plain.WORLD_NOISE))
     updated, log_p = update_features(particles, frame, matched_features(particles.maps, a.n), R, UNWEIGHED)
     turned = permuted(particles)
     updated_b, log_p_b = update_features(turned, frame, matched_features(turned.maps, b.n), R, UNWEIGHED)
@@ -251,10 +251,11 @@ def test_the_order_of_observations_does_not_change_nearest() -> None:
     z = np.array([plain.observe(np.zeros(3), theta) for theta in landmarks[:5]]) + 0.1 * rng.standard_normal((5, 2))
     frame = Frame(0.0, Unicycle(), np.empty((0, 2)), np.empty(0), Point(), z, np.full(5, -1))
     params = parameters(particles=30, association="nearest")
-    R = observation_covariance(frame, plain.WORLD_NOISE)
+    R = observation_noise(frame, Params(believed=plain.WORLD_NOISE))
     n = associate(particles, frame, R, params)
     assert {NEW, IGNORED} & set(n.ravel()), "pairs compete: some observation comes away empty-handed"
     assert len({tuple(row) for row in n}) > 3, "and not the same in all particles"
     for order in itertools.permutations(range(5)):
-        turned = associate(particles, frame._replace(z=z[list(order)]), R[list(order)], params)
+        R_turned = R._replace(sensor=R.sensor[list(order)])
+        turned = associate(particles, frame._replace(z=z[list(order)]), R_turned, params)
         np.testing.assert_array_equal(turned, n[:, list(order)])

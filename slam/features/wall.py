@@ -1,0 +1,181 @@
+"""A wall, seen in part by a laser: a segment in a frame of its own (4.1).
+
+The paper refers to its own variant of the SPmap (J. A. Castellanos, J. M. M. Montiel, J. Neira, J. D. Tardos, IEEE
+Trans. Robotics and Automation 15(5), 1999).  The frame stands at the centroid of the points that made the wall, with
+its x axis along it; a wall looks the same from everywhere along that axis, so only two coordinates are observable: the
+lateral offset and the angle.  At the centroid the two are uncorrelated.  Where the wall ends is kept beside, by what
+was seen of it.
+
+With a robot to the left of a wall, its x axis points counter-clockwise around the robot, so the two faces of a thin
+wall are two features (Fig. 11).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam._jit import inline
+from slam.geometry import wrap
+from slam.linalg import add22, dot3, largest_eigenvalue22, sandwich22, times33
+from slam.types import Floats, ObservationNoise, Params
+
+HIDDEN, OUT_OF_REACH, EDGE, CORNER = 0, 1, 2, 3
+"""What ends an observed piece: something nearer hides the rest; the scan or its range ends there; the wall itself ends,
+with free space behind; it meets another wall.  From `EDGE` on it is an end of the wall."""
+
+LEVER = 20.0
+"""[m] of a wall over which the error of its angle counts."""
+
+SAME_END = 0.3
+"""[m] within which an end that was seen is the end that the map has."""
+
+
+@inline
+def _placed(s: Any, x: Any, y: Any) -> Any:
+    """(x, y) of the robot's frame in the world."""
+    c, q = math.cos(s[2]), math.sin(s[2])
+    return s[0] + c * x - q * y, s[1] + q * x + c * y
+
+
+class Wall(NamedTuple):
+    """State theta (8,) and observation z (10,).
+
+    theta = (x, y, phi, a, b, end_a, end_b, seen): the frame in the world [m, m, rad], the ends a <= b along its x axis
+    [m], 1 for each end that is known to be one and 0 for one that is only as far as anybody saw, and how often the wall
+    was seen.  z = (x, y, phi, a, b, var_lateral, var_angle, end_a, end_b, beams): the same of the piece that is seen,
+    in the robot's frame, with the variances of its two observable coordinates [m^2, rad^2], why it ends
+    (`HIDDEN` ...), and from how many beams it was made.
+    """
+
+    slack: float = 0.5
+    """[m] a piece may lie beyond the end of a wall and still be of it, besides two deviations of the pose along it."""
+    turn: float = 0.6
+    """[rad] that a piece and its wall may differ by: which side is seen is never in doubt."""
+
+    dim = 8
+    observation = 10
+    grows = True
+
+    @staticmethod
+    def believed(z: Floats, params: Params) -> ObservationNoise:
+        """That of the fitted lines, (lateral, angle); and the floors, since no wall is a perfect line."""
+        R = np.zeros((len(z), 2, 2))
+        R[:, 0, 0], R[:, 1, 1] = z[:, 5], z[:, 6]
+        return ObservationNoise(R, np.diag([params.floor_lateral**2, params.floor_angle**2]))
+
+    @staticmethod
+    def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
+        """The floors, seen from where along the wall the piece is: an angle is a lateral offset far from its origin.
+
+        A wall that is drawn once has a frozen angle error; 0.1 degrees are 5 cm after 30 m.  It grows no more beyond
+        `LEVER`: who is that far off has had time to make a new wall.
+        """
+        t = min(max(-G_theta[0][1], -LEVER), LEVER)
+        return add22(R, sandwich22(((-1.0, -t), (0.0, -1.0)), model))
+
+    @staticmethod
+    def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+        """v = -B ((-) theta (+) s (+) z): minus the lateral offset and the angle of the piece in the wall's frame."""
+        px, py = _placed(s, z[0], z[1])
+        c, q = math.cos(theta[2]), math.sin(theta[2])
+        dx, dy = px - theta[0], py - theta[1]
+        t = c * dx + q * dy  # where along the wall
+        v = (q * dx - c * dy, wrap(theta[2] - s[2] - z[2]))
+        G_s = ((-q, c, q * (py - s[1]) + c * (px - s[0])), (0.0, 0.0, 1.0))
+        G_theta = ((-1.0, -t), (0.0, -1.0))
+        return v, G_s, G_theta
+
+    @staticmethod
+    def inverse(feature: Any, s: Any, z: Any) -> Any:
+        """theta = s (+) z (33); F_s, F_z (35) of its lateral offset and angle: its place along itself is no matter."""
+        px, py = _placed(s, z[0], z[1])
+        phi = wrap(s[2] + z[2])
+        c, q = math.cos(phi), math.sin(phi)
+        theta = (px, py, phi, z[3], z[4], 1.0 if z[7] >= EDGE else 0.0, 1.0 if z[8] >= EDGE else 0.0, 1.0)
+        F_s = ((-q, c, q * (py - s[1]) + c * (px - s[0])), (0.0, 0.0, 1.0))
+        return theta, F_s, ((1.0, 0.0), (0.0, 1.0))
+
+    @staticmethod
+    def draw(feature: Any, theta: Any, delta: Any) -> Any:
+        """Displaced sideways and turned about the origin of its frame."""
+        x, y = theta[0] - math.sin(theta[2]) * delta[0], theta[1] + math.cos(theta[2]) * delta[0]
+        return (x, y, wrap(theta[2] + delta[1]), theta[3], theta[4], theta[5], theta[6], theta[7])
+
+    @staticmethod
+    def compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
+        """The longitudinal test: the piece shows this side of the wall, and overlaps it or lies just beyond its end.
+
+        Beyond an end that is known there is no slack.
+        """
+        if abs(wrap(theta[2] - s[2] - z[2])) > feature.turn:
+            return False
+        px, py = _placed(s, z[0], z[1])
+        c, q = math.cos(theta[2]), math.sin(theta[2])
+        t = c * (px - theta[0]) + q * (py - theta[1])
+        along = (c, q, q * (px - s[0]) - c * (py - s[1]))  # dt/ds
+        room = 2.0 * math.sqrt(max(dot3(along, times33(P, along)), 0.0))
+        before = theta[3] - (t + z[4])
+        beyond = (t + z[3]) - theta[4]
+        return before <= room + feature.slack * (1.0 - theta[5]) and beyond <= room + feature.slack * (1.0 - theta[6])
+
+    @staticmethod
+    def extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
+        """The wall with all that is now known of its ends: the union of the pieces, up to an end that was seen."""
+        c, q = math.cos(theta[2]), math.sin(theta[2])
+        turned = math.cos(wrap(s[2] + z[2] - theta[2]))
+        px, py = _placed(s, z[0], z[1])
+        t = c * (px - theta[0]) + q * (py - theta[1])
+        a, b, end_a, end_b = theta[3], theta[4], theta[5], theta[6]
+        if end_a == 0.0:
+            a = min(a, t + turned * z[3])
+            end_a = 1.0 if z[7] >= EDGE and t + turned * z[3] - a <= SAME_END else 0.0
+        if end_b == 0.0:
+            b = max(b, t + turned * z[4])
+            end_b = 1.0 if z[8] >= EDGE and b - t - turned * z[4] <= SAME_END else 0.0
+        return (theta[0], theta[1], theta[2], a, b, end_a, end_b, theta[7] + 1.0)
+
+    @staticmethod
+    def extent(feature: Any, theta: Any) -> Any:
+        """Box around the two ends."""
+        c, q = math.cos(theta[2]), math.sin(theta[2])
+        x0, x1 = theta[0] + c * theta[3], theta[0] + c * theta[4]
+        y0, y1 = theta[1] + q * theta[3], theta[1] + q * theta[4]
+        return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+
+    @staticmethod
+    def spread(feature: Any, theta: Any, Sigma: Any) -> Any:
+        """Deviation of its lateral offset at the farther end, with a metre more of lever arm."""
+        lever = 1.0 + max(abs(theta[3]), abs(theta[4]))
+        return math.sqrt(max(Sigma[0][0], 0.0)) + lever * math.sqrt(max(Sigma[1][1], 0.0))
+
+    @staticmethod
+    def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
+        """Box around the piece as seen from the mean pose, with room for all that gate and `compatible` allow.
+
+        A distance (25) is at least v^2 / V of the lateral offset alone and of the angle alone.  With `arm` from the
+        robot to the centroid, the deviation of the pose shifts the piece by at most `shift` in any direction.  A wall
+        of deviation q (`spread`) is farther from the line of the piece by at most reach q (1 + |t| beyond its end), and
+        by reach q half at the end of the piece, where `half` is the longer half of it.
+        """
+        arm = math.hypot(z[0], z[1])
+        half = max(abs(z[3]), abs(z[4]))
+        heading = math.sqrt(max(P[2][2], 0.0))
+        shift = math.sqrt(max(largest_eigenvalue22(P), 0.0)) + arm * heading
+        room = feature.slack + 2.0 * shift
+        bent = math.sqrt(model[0][0]) + LEVER * math.sqrt(model[1][1])
+        turned = min(reach * math.sqrt(heading * heading + R[1][1] + model[1][1]), feature.turn)
+        margin = room + reach * math.sqrt(shift * shift + R[0][0] + bent * bent) + half * turned
+        px, py = _placed(s, z[0], z[1])
+        c, q = math.cos(s[2] + z[2]), math.sin(s[2] + z[2])
+        x0, x1, y0, y1 = px + c * z[3], px + c * z[4], py + q * z[3], py + q * z[4]
+        box = (min(x0, x1) - margin, min(y0, y1) - margin, max(x0, x1) + margin, max(y0, y1) + margin)
+        return box, reach * (1.0 + 2.0 * half + room)
+
+
+def ends(theta: Floats) -> Floats:
+    """(n, 2, 2) [m] the two ends of walls theta (n, 8) in the world."""
+    axis = np.stack([np.cos(theta[:, 2]), np.sin(theta[:, 2])], axis=-1)
+    return theta[:, None, :2] + theta[:, 3:5, None] * axis[:, None, :]
