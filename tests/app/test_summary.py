@@ -152,10 +152,9 @@ def test_infinite_nees_is_null_and_counted():
 
 def test_alignment_takes_out_a_rigid_motion():
     plain = summarise(keys=["ekf"], count=40).as_dict()["filters"]["ekf"]
-    turned = summarise(_turned(build("loop", features="landmarks")), ["ekf"], count=40)
-    aligned = summarise(_turned(build("loop", features="landmarks")), ["ekf"], count=40, align=True).as_dict()[
-        "filters"
-    ]["ekf"]
+    source = _turned(build("loop", features="landmarks"))
+    turned = summarise(source, ["ekf"], count=40)
+    aligned = summarise(source, ["ekf"], count=40, align=True).as_dict()["filters"]["ekf"]
     assert turned.as_dict()["filters"]["ekf"]["position_mse"] > 1.0
     assert aligned["position_mse"] <= plain["position_mse"]
     assert max(aligned["heading_error_rad"]) < 0.2
