@@ -61,7 +61,7 @@ COMMANDS: dict[str, Any] = {"run": Run, "worlds": Worlds, "study": Study}
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""
 
-NOT_YET = {"--noise.odometry", "--believed.odometry", "--matching", "--relations"}
+NOT_YET = {"--matching", "--relations"}
 """Options whose names are settled before they do anything."""
 
 

@@ -16,7 +16,9 @@ import tyro
 from app import values
 from app.errors import UsageError
 from scenarios.types import Source
+from slam.features import Point
 from slam.limits import BELIEVED_SENSOR, DEVIATION, PARAMS, Interval
+from slam.motion import Odometry
 from slam.types import (
     UNKNOWN_TAG,
     AssociationName,
@@ -121,7 +123,11 @@ class WorldNoise:
     range: Annotated[float | None, values.real("--noise.range", "M", DEVIATION), default("the world's")] = None
     """Of a measured range."""
     bearing: Annotated[float | None, values.real("--noise.bearing", "DEG", DEVIATION), default("the world's")] = None
-    """Of a measured bearing."""
+    """Of a measured bearing, for landmarks."""
+    odometry: Annotated[float | None, values.real("--noise.odometry", "X", DEVIATION), default("the world's")] = None
+    """Of an odometry increment, as a fraction of the motion: worlds of walls, seen by a laser."""
+    missing: Annotated[float | None, values.real("--noise.missing", "X", Interval(0, 1)), default("the world's")] = None
+    """Share of the laser's beams that return nothing."""
 
 
 _FOLLOWS = default("follows the world")
@@ -138,7 +144,9 @@ class BelievedNoise:
     range: Annotated[float | None, values.real("--believed.range", "M", BELIEVED_SENSOR), _FOLLOWS] = None
     """Of a measured range."""
     bearing: Annotated[float | None, values.real("--believed.bearing", "DEG", BELIEVED_SENSOR), _FOLLOWS] = None
-    """Of a measured bearing."""
+    """Of a measured bearing, for landmarks."""
+    odometry: Annotated[float | None, values.real("--believed.odometry", "X", DEVIATION), _FOLLOWS] = None
+    """Of an odometry increment, as a fraction of the motion: robots that report increments."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +186,11 @@ def parameters(
             f"--noise.{name} does not apply to {source.name}: a log has its noise already; "
             f"--believed.{name} is what the filters believe of it"
         )
+    _check_applies("--noise", world, source)
+    _check_applies("--believed", _typed(believed), source)
     belief = dataclasses.replace(source.params().believed, **world)
     belief = dataclasses.replace(belief, **_typed(believed))
-    for name in ("range", "bearing"):
+    for name in ("range", "bearing") if isinstance(source.feature, Point) else ("range",):
         if getattr(belief, name) not in BELIEVED_SENSOR:
             raise UsageError(
                 f"--noise.{name} is 0, but no filter can believe in a perfect sensor; "
@@ -197,6 +207,18 @@ def parameters(
             f"--association is known, but nobody knows what was seen in {source.name}; expected nearest or jcbb"
         )
     return dataclasses.replace(source.noise, **world), params
+
+
+def _check_applies(option: str, given: dict[str, float], source: Source) -> None:
+    """Raise `UsageError` for a deviation that nothing in the source has: it would change nothing, silently."""
+    of_motion = ("odometry",) if isinstance(source.motion, Odometry) else ("speed", "turn")
+    of_sensor = ("range", "bearing") if isinstance(source.feature, Point) else ("range", "missing")
+    for name in given:
+        if name not in (*of_motion, *of_sensor):
+            known = [
+                f"{option}.{other}" for other in (*of_motion, *of_sensor) if option == "--noise" or other != "missing"
+            ]
+            raise UsageError(f"{option}.{name} does not apply to {source.name}; expected one of {', '.join(known)}")
 
 
 def _typed(options: FilterOptions | WorldNoise | BelievedNoise) -> dict[str, Any]:

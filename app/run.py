@@ -39,7 +39,7 @@ class Run:
 
     WORLD: a name (dualslam worlds) or a world file. LOG: the path of a real robot's log.
 
-    Worlds have options of their own, such as --vehicle: dualslam run WORLD --help.
+    Worlds have options of their own, such as --features or --laps: dualslam run WORLD --help.
     """
 
     source: Annotated[Positional[str], values.word("WORLD|LOG"), tyro.conf.arg(help_behavior_hint="")] = ""
@@ -50,8 +50,6 @@ class Run:
     """Of all random numbers: same seed, same results."""
     steps: Annotated[int | None, values.whole("--steps", "N", Interval(1)), default("all")] = None
     """Stop after N observing steps."""
-    features: Annotated[str, values.choice("--features", ("landmarks", "walls"))] = "landmarks"
-    """What the sensor sees of a world; walls are not there yet."""
     align: bool = False
     """Move the whole path rigidly onto the truth before errors are taken."""
     filter: OmitArgPrefixes[FilterOptions] = field(default_factory=FilterOptions)
@@ -66,8 +64,6 @@ class Run:
             raise UsageError(
                 "run needs a world or a log, such as: dualslam run loop (dualslam worlds lists the worlds)"
             )
-        if self.features == "walls":
-            raise UsageError("--features is walls, which no world offers yet; expected landmarks")
         _check(self.output, self.source)
         info = self._info(own, command)
         err = Console(stderr=True, highlight=False)

@@ -23,7 +23,7 @@ from scenarios.preview import preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
 from scenarios.world_file import world_text
-from slam.motion import Ackermann
+from slam.motion import Ackermann, Odometry
 
 
 @dataclass(frozen=True)
@@ -87,21 +87,22 @@ def _check_world_file(path: Path) -> None:
 def _print_all(console: Console) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("world", style="bold", no_wrap=True, min_width=max(map(len, worlds())))
-    for name in ("route", "time", "landmarks", "steps", "seen"):
-        table.add_column(name, justify="right", no_wrap=True, min_width=max(len(name), len("1000 m")))
+    for name in ("route", "time", "map", "steps", "seen"):
+        width = len("81 landmarks") if name == "map" else len("1000 m")
+        table.add_column(name, justify="right", no_wrap=True, min_width=max(len(name), width))
     table.add_column("")
     for name in worlds():
         row = world_row(build(name))
         numbers = (
             f"{row.route:.0f} m",
             f"{row.duration:.0f} s",
-            f"{row.landmarks}",
+            f"{row.things} {row.what}",
             f"{row.steps}",
             f"{row.visible:.1f}",
         )
         table.add_row(name, *numbers, row.title)
     print_whole(console, table)
-    hint = "seen: landmarks in view at a step, on average.   One world and its options: dualslam worlds NAME"
+    hint = "seen: landmarks or walls in view at a step, on average.   One world and its options: dualslam worlds NAME"
     console.print(f"\n{hint}", soft_wrap=not console.is_terminal)
 
 
@@ -110,11 +111,13 @@ def _print_one(console: Console, name: str, source: Source) -> None:
     console.print(f"[bold]{escape(source.name)}[/]  {escape(source.title)}\n", soft_wrap=True)
     console.print(preview(source, width=min(console.width - 2, 100)), markup=False, soft_wrap=True)
     console.print(
-        f"\n{row.route:.0f} m in {row.duration:.0f} s, {row.landmarks} landmarks, {row.steps} observing steps with "
-        f"{row.visible:.1f} landmarks in view",
+        f"\n{row.route:.0f} m in {row.duration:.0f} s, {row.things} {row.what}, {row.steps} observing steps with "
+        f"{row.visible:.1f} {row.what} in view",
         soft_wrap=True,
     )
     console.print(f"noise: {_noise(source)}", soft_wrap=True)
+    for warning in source.warnings:
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
     if source.defaults:
         defaults = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in source.defaults.items())
         console.print(f"defaults: {defaults}", soft_wrap=True)
@@ -131,6 +134,9 @@ def _print_one(console: Console, name: str, source: Source) -> None:
 
 def _noise(source: Source) -> str:
     noise, steering = source.noise, isinstance(source.motion, Ackermann)
+    if isinstance(source.motion, Odometry):
+        missing = f", {100 * noise.missing:.3g} % of the beams missing" if noise.missing else ""
+        return f"odometry {100 * noise.odometry:.3g} % of the motion, range {noise.range:.3g} m{missing}"
     turn = f"{'steering' if steering else 'turn'} {math.degrees(noise.turn):.3g} {'°' if steering else '°/s'}"
     sensor = f"range {noise.range:.3g} m, bearing {math.degrees(noise.bearing):.3g}°"
     return f"speed {noise.speed:.3g} m/s, {turn}, {sensor}"

@@ -6,12 +6,12 @@ import math
 from dataclasses import asdict, dataclass
 
 from scenarios.checks import check_number, check_positive
-from scenarios.floorplan import ring_corridor
+from scenarios.floorplan import DoorKind, ring_corridor
+from scenarios.indoor import LASER_NOISE, Features, check_doors, doors, laser, sensor
 from scenarios.route import Route, shorten
-from scenarios.sensors import Sensor
 from scenarios.simulate import Scenario
 from scenarios.types import SourceError
-from scenarios.world import world_of_points
+from scenarios.world import world_of_points, world_of_walls
 from slam.motion import Unicycle
 from slam.types import Noise
 
@@ -19,8 +19,9 @@ TITLE = "a 100 m corridor loop: the robot returns into known ground and goes on"
 
 CORNER_RADIUS = 1.0  # [m]
 
-LOOP_NOISE = Noise(speed=0.1, turn=math.radians(2.0), range=0.05, bearing=math.radians(0.5))
-"""Half the drift of the other indoor worlds: once round, dead reckoning is 1.6 m and 5 degrees off (median and
+LANDMARK_NOISE = Noise(speed=0.1, turn=math.radians(2.0), range=0.05, bearing=math.radians(0.5))
+"""With landmarks: half the drift of the other indoor worlds, so that once round dead reckoning is 1.6 m and 5 degrees
+off (median and
 deviation of 20 runs)."""
 
 
@@ -28,6 +29,8 @@ deviation of 20 runs)."""
 class Loop:
     """Options of `loop`."""
 
+    features: Features = "walls"
+    """What is seen: walls by a laser, or landmarks, the hinge posts of the doors, through walls."""
     length: float = 30.0
     """[m] of the longer side of the centre line; the robot starts in its middle."""
     depth: float = 20.0
@@ -36,28 +39,38 @@ class Loop:
     """[m] of the corridor."""
     laps: float = 1.3
     """How often the robot goes round; 1.3 is once and 30 m more."""
+    doors: DoorKind = "closed"
+    """Walls only: closed (set back in their frames), open with nothing behind, with rooms behind, or no doors."""
     door_spacing: float = 5.0
     """[m] between the doors of one wall; the doors of the wall across are half a spacing ahead."""
     door_width: float = 1.0
     """[m]"""
+    recess: float = 0.12
+    """[m] that closed doors are set back; the thickness of the wall around open ones."""
     speed: float = 0.8
     """[m/s]"""
-    max_range: float = 12.0
-    """[m] of the sensor: less than the way across, so that the beginning is out of sight for half of a lap."""
-    view_deg: float = 360.0
-    """[degrees] the whole opening of the sensor: 360 sees all round, 180 the frontal half circle."""
+    beams: int = 181
+    """Of the laser."""
+    view_deg: float | None = None
+    """[degrees] the whole opening of the sensor: 360 sees all round, 180 the frontal half circle; by default 180 for
+    walls, 360 for landmarks."""
+    max_range: float | None = None
+    """[m] of the sensor; by default 8 for walls, 12 for landmarks: less than the way across, so that the beginning is
+    out of sight for half of a lap."""
 
 
 def loop(options: Loop) -> Scenario:
-    """A landmark at the hinge post of every door, seen through walls; observed every 0.5 s."""
-    check_positive(options, "length", "depth", "width", "door_spacing", "door_width", "speed", "max_range")
+    """Walls, or a landmark at the hinge post of every door; observed every 0.5 s."""
+    check_positive(options, "length", "depth", "width", "speed")
+    check_doors(options)
     check_number("laps", options.laps, above=0, most=1000)
     if min(options.length, options.depth) < max(options.width, 2 * CORNER_RADIUS) + options.door_width:
         raise SourceError(
             f"length and depth are {options.length:g} and {options.depth:g}; expected room for a corridor "
             f"of width {options.width:g} around something"
         )
-    _, posts = ring_corridor(options.length, options.depth, options.width, options.door_spacing, options.door_width)
+    walls = options.features == "walls"
+    plan = ring_corridor(options.length, options.depth, options.width, doors(options))
     x, y = 0.5 * options.length, options.depth
     lap = [(0.0, 0.0), (x, 0.0), (x, y), (-x, y), (-x, 0.0)]
     distance = options.laps * 2 * (options.length + options.depth)
@@ -65,18 +78,18 @@ def loop(options: Loop) -> Scenario:
     return Scenario(
         name="loop",
         title=TITLE,
-        world=world_of_points(posts),
+        world=world_of_walls(plan.walls) if walls else world_of_points(plan.posts),
         motion=Unicycle(),
         route=Route(
             waypoints=shorten(corners, distance, shortest=CORNER_RADIUS),
             speed=options.speed,
             corner_radius=CORNER_RADIUS,
         ),
-        sensor=Sensor(max_range=options.max_range, field_of_view=math.radians(options.view_deg)),
-        noise=LOOP_NOISE,
+        sensor=laser(options) if walls else sensor(options, max_range=12.0, view_deg=360.0),
+        noise=LASER_NOISE if walls else LANDMARK_NOISE,
         # Once round, the map of a Dual FastSLAM particle is off by more than the honest R of the sensor, and its
         # innovation covariance holds no map error.  Nine times R, three deviations for one, leaves room to know the
         # beginning again.
-        defaults={"inflate_r": 9.0},
+        defaults={} if walls else {"inflate_r": 9.0},
         options=asdict(options),
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from scenarios import corridor, field, loop, paper_line, rotation_then_corridor
+from scenarios import corridor, field, hall, hospital, loop, paper_line, rotation_then_corridor
 from scenarios.checks import check_options, naming, suggestion
 from scenarios.simulate import Scenario, simulate
 from scenarios.types import Source, SourceError
@@ -23,18 +23,25 @@ class WorldEntry(NamedTuple):
     """Frozen dataclass; its field docstrings say what each option is, and its unit."""
     scenario: Callable[[Any], Scenario]
     """From an instance of `options`."""
+    features: tuple[str, ...] = ("landmarks",)
+    """What it can show; where that is both, its option `features` says which."""
 
+
+_BOTH = ("walls", "landmarks")
 
 _WORLDS = (
     WorldEntry("paper-line", paper_line.TITLE, paper_line.PaperLine, paper_line.paper_line),
-    WorldEntry("corridor", corridor.TITLE, corridor.Corridor, corridor.corridor),
-    WorldEntry("loop", loop.TITLE, loop.Loop, loop.loop),
+    WorldEntry("corridor", corridor.TITLE, corridor.Corridor, corridor.corridor, _BOTH),
+    WorldEntry("loop", loop.TITLE, loop.Loop, loop.loop, _BOTH),
     WorldEntry(
         "rotation-then-corridor",
         rotation_then_corridor.TITLE,
         rotation_then_corridor.RotationThenCorridor,
         rotation_then_corridor.rotation_then_corridor,
+        _BOTH,
     ),
+    WorldEntry("hospital", hospital.TITLE, hospital.Hospital, hospital.hospital, ("walls",)),
+    WorldEntry("hall", hall.TITLE, hall.Hall, hall.hall, ("walls",)),
     WorldEntry("field", field.TITLE, field.Field, field.field),
 )
 
@@ -42,6 +49,11 @@ _WORLDS = (
 def worlds() -> dict[str, WorldEntry]:
     """All worlds by name."""
     return {entry.name: entry for entry in _WORLDS}
+
+
+def landmark_options(name: str) -> dict[str, str]:
+    """The options that make a world one of landmarks: none, unless it offers walls too."""
+    return {"features": "landmarks"} if len(worlds()[name].features) > 1 else {}
 
 
 def is_world(name: str) -> bool:

@@ -42,6 +42,8 @@ class Route:
     """[rad/s] of turns on the spot."""
     start_turn: float = 0.0
     """[rad] turned on the spot before setting off, counter-clockwise (unicycle only)."""
+    wait: float = 0.0
+    """[s] that the robot stands still before anything else."""
 
 
 class Leg(NamedTuple):
@@ -60,6 +62,7 @@ def check_route(route: Route) -> None:
     check_number("route.corner_radius", route.corner_radius, "m", least=0)
     check_angle("route.turn_rate", route.turn_rate, above=0, most=36_000)
     check_angle("route.start_turn", route.start_turn, least=-36_000, most=36_000)
+    check_number("route.wait", route.wait, "s", least=0)
     for i, (x, y) in enumerate(route.waypoints):
         if not (abs(x) <= LARGEST and abs(y) <= LARGEST):
             raise SourceError(
@@ -110,6 +113,7 @@ def controls(route: Route, motion: Any) -> tuple[Floats, Floats]:
     """
     parts = legs(route)
     seconds = sum(leg.length / route.speed if leg.length else abs(leg.turn) / route.turn_rate for leg in parts)
+    seconds += route.wait
     if not seconds / route.tick <= MAX_TICKS:
         raise SourceError(
             f"route: it takes {seconds:g} s, {seconds / route.tick:g} control ticks of {route.tick:g} s; expected "
@@ -119,6 +123,8 @@ def controls(route: Route, motion: Any) -> tuple[Floats, Floats]:
         u = _steer(parts, route, motion)
     else:
         u = np.concatenate([_turn_on_spot(d, route) if not d[0].length else _drive(d, route) for d in _drives(parts)])
+    if route.wait > 0:
+        u = np.concatenate([np.zeros((math.ceil(route.wait / route.tick - 1e-9), 2)), u])
     return u, np.full(len(u), route.tick)
 
 
@@ -126,7 +132,7 @@ def drive(motion: Any, start: Floats, u: Floats, dt: Floats) -> Floats:
     """(T + 1, 3) poses from `start` (3,) under the controls u (T, m): dead reckoning (5)."""
     poses = np.empty((len(u) + 1, 3))
     poses[0] = start
-    s: Any = tuple(start.tolist())
+    s: Any = tuple(np.asarray(start, float).tolist())
     for t, (tick, seconds) in enumerate(zip(u.tolist(), dt.tolist(), strict=True)):
         s, _, _ = propagate(motion, s, tick, seconds)
         poses[t + 1] = s

@@ -64,15 +64,22 @@ class Table:
             return default
         return math.radians(self.number(degrees))
 
-    def numbers(self, key: str, size: int) -> tuple[float, ...]:
+    def numbers(self, key: str, size: int, default: tuple[float, ...] = _NO_DEFAULT) -> tuple[float, ...]:
         """A list of so many numbers."""
-        return self._row(self.path(key), self._get(key, _NO_DEFAULT, f"a list of {size} numbers", list), size)
+        row = self._get(key, default, f"a list of {size} numbers", list)
+        return row if row is default else self._row(self.path(key), row, size)
 
     def points(self, key: str) -> tuple[tuple[float, float], ...]:
         """A list of [x, y]."""
-        rows = self._get(key, _NO_DEFAULT, "a list of [x, y]", list)
-        pairs = [self._row(f"{self.path(key)}[{i}]", row, 2) for i, row in enumerate(rows)]
-        return tuple((x, y) for x, y in pairs)
+        return tuple((x, y) for x, y in self._rows(key, 2, "[x, y]"))
+
+    def segments(self, key: str) -> tuple[tuple[float, ...], ...]:
+        """A list of [x0, y0, x1, y1]."""
+        return tuple(self._rows(key, 4, "[x0, y0, x1, y1]"))
+
+    def _rows(self, key: str, size: int, what: str) -> list[tuple[float, ...]]:
+        rows = self._get(key, _NO_DEFAULT, f"a list of {what}", list)
+        return [self._row(f"{self.path(key)}[{i}]", row, size, what) for i, row in enumerate(rows)]
 
     def integers(self, key: str) -> list[int]:
         """A list of whole numbers."""
@@ -82,9 +89,10 @@ class Table:
                 raise SourceError(f"{self.path(key)}[{i}] is {_shown(value)}; expected a whole number")
         return values
 
-    def table(self, key: str, default: dict[str, Any] = _NO_DEFAULT) -> Table:
-        """A table below this one."""
-        return Table(self._get(key, default, f"a table, [{self.path(key)}]", dict), self.path(key))
+    def table(self, key: str, default: dict[str, Any] = _NO_DEFAULT, instead: str = "") -> Table:
+        """A table below this one; `instead` is the name of another that would do."""
+        other = f" or [{self.path(instead)}]" if instead else ""
+        return Table(self._get(key, default, f"a table, [{self.path(key)}]{other}", dict), self.path(key))
 
     def end(self) -> None:
         """Raise `SourceError` for a key that was not asked for, with the nearest that would have been."""
@@ -104,10 +112,11 @@ class Table:
             raise SourceError(f"{self.path(key)} is {_shown(value)}; expected {expected}")
         return value
 
-    def _row(self, path: str, row: Any, size: int) -> tuple[float, ...]:
+    def _row(self, path: str, row: Any, size: int, what: str = "") -> tuple[float, ...]:
         numbers = isinstance(row, list) and all(isinstance(c, int | float) and not isinstance(c, bool) for c in row)
         if not numbers or len(row) != size:
-            raise SourceError(f"{path} is {_shown(row)}; expected {size} numbers, [{', '.join('xyxy'[:size])}]")
+            names = f", {what}" if what else ""
+            raise SourceError(f"{path} is {_shown(row)}; expected {size} numbers{names}")
         return tuple(_as_float(path, c) for c in row)
 
 

@@ -12,12 +12,12 @@ from slam.types import Floats, Frame, Ints, Noise, Params
 
 
 class TrueMap(NamedTuple):
-    """The landmarks as they are."""
+    """The landmarks, or the walls, as they are."""
 
     tags: Ints
-    """(n,)"""
+    """(n,) for walls their index."""
     theta: Floats
-    """(n, 2) [m, m]"""
+    """(n, 2) x y of landmarks, (n, 4) x0 y0 x1 y1 of walls [m]"""
 
 
 class Step(NamedTuple):

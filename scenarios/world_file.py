@@ -14,6 +14,7 @@
     corner_radius = 1.0                 # m, optional: 0 turns on the spot
     turn_rate_deg = 30                  # degrees/s on the spot, optional
     start_turn_deg = 0                  # degrees turned before setting off, optional
+    wait = 0                            # s that the robot stands still before anything else, optional
 
     [sensor]
     max_range = 10.0                    # m; may be inf
@@ -25,7 +26,6 @@
     turn_deg = 3.0                      # degrees/s; degrees of steering for an Ackermann vehicle
     range = 0.02                        # m
     bearing_deg = 0.5
-    odometry = 0.1                      # fraction of the motion, optional: for worlds seen by a laser
 
     [landmarks]
     points = [[5, 3], [12, -3]]
@@ -41,6 +41,32 @@
     association = "known"
     particles = 25
 
+A world of walls has, in place of the tables `sensor` and `landmarks`,
+
+    [laser]
+    max_range = 8.0                     # m; may be inf
+    beams = 181                         # optional, as all that follows
+    field_of_view_deg = 180             # the whole opening; 360 is all round
+    every = 5                           # control ticks from scan to scan
+    origin = [0.0, 0.0]                 # m, where it stands on the robot
+    heading_deg = 0                     # where it looks
+
+    [walls]
+    segments = [[0, 1, 20, 1], [20, 1, 20, -1]]     # [x0, y0, x1, y1] each
+
+    [movers]                            # optional: people, discs that hide walls and walk to and fro on straight lines
+    paths = [[2, -1, 12, 3]]            # [x0, y0, x1, y1] each
+    speeds = [1.2]                      # m/s
+    offsets = [0.0]                     # m walked at time zero
+    radii = [0.25]                      # m
+
+    [noise]
+    range = 0.01                        # m
+    odometry = 0.1                      # of an increment, as a fraction of the motion
+    missing = 0.0                       # share of the beams that return nothing, optional
+
+A world may have both landmarks and walls; it is the sensor that tells which are seen.
+
 Angles may be given in radians, as `<name>_rad` in place of `<name>_deg`.
 """
 
@@ -53,14 +79,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from scenarios.checks import naming
+from scenarios.laser import Laser, check_laser
+from scenarios.movers import NOBODY, Movers
 from scenarios.route import Route, Waypoints, check_route
 from scenarios.scatter import landmark_count, scatter
-from scenarios.sensors import Sensor
+from scenarios.sensors import Sensor, check_sensor
 from scenarios.simulate import Scenario, simulate
 from scenarios.toml_table import Table
 from scenarios.types import Source, SourceError
-from scenarios.world import World, check_world, world_of_points
+from scenarios.world import World, check_landmarks, check_walls, world_of_points, world_of_walls
 from slam.limits import PARAMS
 from slam.motion import Ackermann, Unicycle
 from slam.types import Noise, Params
@@ -106,8 +136,7 @@ def write_world(path: str | Path, scenario: Scenario) -> None:
 
 def world_text(scenario: Scenario) -> str:
     """The text of a world file; random landmarks are written as the points they have become."""
-    route, sensor, noise = scenario.route, scenario.sensor, scenario.noise
-    tags, theta = scenario.world.landmarks
+    route, world = scenario.route, scenario.world
     vehicle: dict[str, Any] = {"kind": "unicycle"}
     if isinstance(scenario.motion, Ackermann):
         vehicle = {"kind": "ackermann", "wheelbase": scenario.motion.wheelbase}
@@ -119,21 +148,18 @@ def world_text(scenario: Scenario) -> str:
             "corner_radius": route.corner_radius,
             **_angle("turn_rate", route.turn_rate),
             **_angle("start_turn", route.start_turn),
+            "wait": route.wait,
             "waypoints": route.waypoints,
         },
-        "sensor": {
-            "max_range": sensor.max_range,
-            **_angle("field_of_view", sensor.field_of_view),
-            "every": sensor.every,
-        },
-        "noise": {
-            "speed": noise.speed,
-            **_angle("turn", noise.turn),
-            "range": noise.range,
-            **_angle("bearing", noise.bearing),
-            "odometry": noise.odometry,
-        },
-        "landmarks": {"points": theta.tolist(), "tags": tags.tolist()},
+        **_sensor_tables(scenario.sensor),
+        "noise": _noise_table(scenario.noise, laser=isinstance(scenario.sensor, Laser)),
+        "landmarks": {"points": world.landmarks.theta.tolist(), "tags": world.landmarks.tags.tolist()}
+        if len(world.landmarks.theta)
+        else {},
+        "walls": {"segments": world.walls.theta.tolist()} if len(world.walls.theta) else {},
+        "movers": {name: values.tolist() for name, values in world.movers._asdict().items()}
+        if len(world.movers.paths)
+        else {},
         "defaults": {f.name: scenario.defaults[f.name] for f in fields(Params) if f.name in scenario.defaults},
     }
     lines = [
@@ -147,17 +173,45 @@ def world_text(scenario: Scenario) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _sensor_tables(sensor: Sensor | Laser) -> dict[str, dict[str, Any]]:
+    common = {
+        "max_range": sensor.max_range,
+        **_angle("field_of_view", sensor.field_of_view),
+        "every": sensor.every,
+    }
+    if isinstance(sensor, Sensor):
+        return {"sensor": common}
+    x, y, heading = sensor.origin
+    return {"laser": {"beams": sensor.beams, **common, "origin": [x, y], **_angle("heading", heading)}}
+
+
+def _noise_table(noise: Noise, laser: bool) -> dict[str, Any]:
+    """What the world has; of the rest only what is not the general default, so that nothing is lost."""
+    default = Noise()
+    of_laser = {"range": noise.range, "odometry": noise.odometry, "missing": noise.missing}
+    of_sensor = {
+        "speed": noise.speed,
+        **_angle("turn", noise.turn),
+        "range": noise.range,
+        **_angle("bearing", noise.bearing),
+    }
+    table, other = (of_laser, of_sensor) if laser else (of_sensor, of_laser)
+    usual = {**default.__dict__, **_angle("turn", default.turn), **_angle("bearing", default.bearing)}
+    return {**table, **{key: value for key, value in other.items() if key not in table and value != usual.get(key)}}
+
+
 def _scenario(top: Table, stem: str) -> Scenario:
     motion = _vehicle(top.table("vehicle", {}))
     route = _route(top.table("route"))
+    sensor = _eye(top)
     scenario = Scenario(
         name=top.text("name", stem),
         title=top.text("title", "a world of one's own"),
         motion=motion,
         route=route,
-        sensor=_sensor(top.table("sensor")),
-        noise=_noise(top.table("noise")),
-        world=_landmarks(top.table("landmarks"), route.waypoints),
+        sensor=sensor,
+        noise=_noise(top.table("noise"), laser=isinstance(sensor, Laser)),
+        world=_world(top, route.waypoints, laser=isinstance(sensor, Laser)),
         defaults=_defaults(top.table("defaults", {})),
     )
     top.end()
@@ -182,10 +236,35 @@ def _route(table: Table) -> Route:
         corner_radius=table.number("corner_radius", default.corner_radius),
         turn_rate=table.angle("turn_rate", default.turn_rate),
         start_turn=table.angle("start_turn", default.start_turn),
+        wait=table.number("wait", default.wait),
     )
     table.end()
     check_route(route)
     return route
+
+
+def _eye(top: Table) -> Sensor | Laser:
+    """The table `laser` or the table `sensor`, which is missed where there is neither."""
+    if "laser" not in top:
+        return _sensor(top.table("sensor", instead="laser"))
+    if "sensor" in top:
+        raise SourceError("laser and sensor are both there; expected one, that which the robot has")
+    return _laser(top.table("laser"))
+
+
+def _laser(table: Table) -> Laser:
+    default = Laser()
+    x, y = table.numbers("origin", 2, default.origin[:2])
+    laser = Laser(
+        max_range=table.number("max_range"),
+        beams=table.integer("beams", default.beams),
+        field_of_view=table.angle("field_of_view", default.field_of_view),
+        every=table.integer("every", default.every),
+        origin=(x, y, table.angle("heading", default.origin[2])),
+    )
+    table.end()
+    check_laser(laser)
+    return laser
 
 
 def _sensor(table: Table) -> Sensor:
@@ -196,19 +275,57 @@ def _sensor(table: Table) -> Sensor:
         every=table.integer("every", default.every),
     )
     table.end()
+    check_sensor(sensor)
     return sensor
 
 
-def _noise(table: Table) -> Noise:
-    noise = Noise(
-        speed=table.number("speed"),
-        turn=table.angle("turn"),
-        range=table.number("range"),
-        bearing=table.angle("bearing"),
-        odometry=table.number("odometry", Noise().odometry),
-    )
+def _noise(table: Table, laser: bool) -> Noise:
+    """What the sensor and its vehicle need must be there; the rest may be."""
+    default = Noise()
+    if laser:
+        noise = Noise(
+            range=table.number("range"),
+            odometry=table.number("odometry"),
+            missing=table.number("missing", default.missing),
+            speed=table.number("speed", default.speed),
+            turn=table.angle("turn", default.turn),
+            bearing=table.angle("bearing", default.bearing),
+        )
+    else:
+        noise = Noise(
+            speed=table.number("speed"),
+            turn=table.angle("turn"),
+            range=table.number("range"),
+            bearing=table.angle("bearing"),
+            odometry=table.number("odometry", default.odometry),
+            missing=table.number("missing", default.missing),
+        )
     table.end()
     return noise
+
+
+def _world(top: Table, waypoints: Waypoints, laser: bool) -> World:
+    """The tables `landmarks` and `walls`; that which the sensor sees must be there."""
+    walls = _walls(top) if laser or "walls" in top else world_of_walls([])
+    points = _landmarks(top.table("landmarks"), waypoints) if not laser or "landmarks" in top else world_of_points([])
+    return World(points.landmarks, walls.walls, walls.movers)
+
+
+def _walls(top: Table) -> World:
+    table = top.table("walls")
+    segments = table.segments("segments")
+    table.end()
+    world = world_of_walls(segments, _movers(top.table("movers")) if "movers" in top else NOBODY)
+    check_walls(world)
+    return world
+
+
+def _movers(table: Table) -> Movers:
+    paths = table.segments("paths")
+    each = (table.numbers(name, len(paths)) for name in Movers._fields[1:])
+    movers = Movers(np.array(paths, float).reshape(-1, 4), *(np.array(values, float) for values in each))
+    table.end()
+    return movers
 
 
 def _landmarks(table: Table, waypoints: Waypoints) -> World:
@@ -220,7 +337,7 @@ def _landmarks(table: Table, waypoints: Waypoints) -> World:
     tags = table.integers("tags") if "tags" in table else None
     table.end()
     world = world_of_points(points, tags)
-    check_world(world)
+    check_landmarks(world.landmarks)
     return world
 
 

@@ -89,6 +89,8 @@ class Noise:
     """[rad] of a measured bearing (section 5.1 prints 0.003*pi/180: 0.003 degrees)."""
     odometry: float = 0.10
     """Deviation of an odometry increment, as a fraction of the motion."""
+    missing: float = 0.0
+    """Share of the laser beams, 0 to 1, that return nothing although they should.  No filter asks."""
 
 
 class ObservationNoise(NamedTuple):

@@ -11,9 +11,11 @@ from app.study.jobs import run_all
 from app.study.output import MEANS, TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
 from app.study.statistics import mean
 from app.summary import Summary
-from scenarios.registry import build, worlds
+from scenarios.registry import build, landmark_options, worlds
 from slam.limits import PARAMS, Interval
 from slam.types import AssociationName
+
+LANDMARK_WORLDS = tuple(name for name, entry in worlds().items() if "landmarks" in entry.features)
 
 
 class Task(NamedTuple):
@@ -42,8 +44,8 @@ class AssociationStudy:
 
     runs: RunsOption = 10
     """Independent runs, with seeds from --seed on."""
-    world: Annotated[str, values.choice("--world", tuple(worlds()))] = "loop"
-    """The world."""
+    world: Annotated[str, values.choice("--world", LANDMARK_WORLDS)] = "loop"
+    """The world, with landmarks."""
     filters: Annotated[tuple[str, ...], values.choices("--filters", "|".join(FILTERS), FILTERS)] = ("fs2", "dfs")
     """Some of dfs, fs2, fs1, ekf."""
     particles: Annotated[int, values.whole("--particles", "K", PARAMS["particles"])] = 100
@@ -117,7 +119,7 @@ def one_run(task: Task) -> dict[str, Outcome]:
     from slam.estimators import ESTIMATORS
 
     study = task.study
-    source = build(study.world)
+    source = build(study.world, **landmark_options(study.world))
     given = {"inflate_r": study.inflate_r, "gate_new": study.gate_new}
     changes = {name: value for name, value in given.items() if value is not None}
     params = source.params(particles=study.particles, association=study.association, **changes)

@@ -71,9 +71,19 @@ BAD = [
     (["run", "loop", "--filters", "fs3"], ["--filters is 'fs3'", "dfs, fs2, fs1 or ekf"]),
     (["run", "loop", "--filters"], ["--filters needs at least one value"]),
     (["run", "loop", "--filters", "dfs", "dfs"], ["--filters names dfs twice"]),
-    (["run", "loop", "--features", "walls"], ["walls", "expected landmarks"]),
+    (["run", "loop", "--features", "wals"], ["--features is 'wals'", "did you mean walls?", "walls or landmarks"]),
+    (["run", "hall", "--features", "walls"], ["--features does not apply to hall", "corridor, loop or rotation"]),
+    (["run", "loop", "--doors", "shut"], ["--doors is 'shut'", "closed, open, rooms or none"]),
+    (["run", "loop", "--beams", "0"], ["loop: --beams is 0", "at least 1"]),
     (["run", "loop", "--noise.range", "-0.1"], ["--noise.range is -0.1", "between 0 and 1000000"]),
-    (["run", "loop", "--noise.bearing", "0"], ["--noise.bearing is 0", "expected --believed.bearing"]),
+    (["run", "field", "--noise.bearing", "0"], ["--noise.bearing is 0", "expected --believed.bearing"]),
+    (["run", "loop", "--noise.range", "0"], ["--noise.range is 0", "expected --believed.range"]),
+    (["run", "loop", "--noise.missing", "1.5"], ["--noise.missing is 1.5", "between 0 and 1"]),
+    (["run", "loop", "--noise.speed", "1"], ["--noise.speed does not apply to loop", "--noise.odometry"]),
+    (["run", "field", "--noise.odometry", "1"], ["--noise.odometry does not apply to field", "--noise.speed"]),
+    (["run", "field", "--believed.odometry", "1"], ["--believed.odometry does not apply to field"]),
+    (["run", "loop", "--believed.bearing", "1"], ["--believed.bearing does not apply to loop"]),
+    (["run", "loop", "--believed.missing", "1"], ["unknown option --believed.missing"]),
     (["run", "loop", "--believed.range", "0"], ["--believed.range is 0", "0 excluded"]),
     (["run", "loop", "--vehicle", "ackermann"], ["--vehicle does not apply to loop", "paper-line"]),
     (["run", "paper-line", "--vehicle", "acerman"], ["--vehicle is 'acerman'", "did you mean ackermann?"]),
@@ -88,11 +98,11 @@ BAD = [
     (["run", "loop", "--believed.range", "1e7"], ["--believed.range is 1e7", "1000000"]),
     (["run", "loop", "--noise.range", "inf"], ["--noise.range is inf", "a finite number"]),
     (["run", "field", "--layout-seed", "-1"], ["--layout-seed is -1"]),
-    (["run", "loop", "--noise.odometry", "1"], ["--noise.odometry is not there yet"]),
+    (["run", "loop", "--relations", "x"], ["--relations is not there yet"]),
     (["run", "loop", "--matching", "x"], ["--matching is not there yet"]),
     (["run", "loop", "--summary", "\udcff.json"], ["--summary is '\\udcff.json'", "UTF-8"]),
     (["run", "\udcff"], ["'\\udcff'", "UTF-8"]),
-    (["run", "loop", "--trajectory", "t", "--noise.bearing", "0"], ["--noise.bearing is 0"]),
+    (["run", "loop", "--trajectory", "t", "--noise.range", "0"], ["--noise.range is 0"]),
     (["worlds", "loop", "--write", "x.txt"], ["--write is x.txt", "ends in .toml"]),
     (["worlds", "lop"], ["'lop'", "did you mean loop?"]),
     (["worlds", "loop", "corridor"], ["unexpected argument 'corridor'"]),
@@ -106,6 +116,7 @@ BAD = [
     (["study", "log-error"], ["needs a log or a world"]),
     (["study", "log-error", "lop"], ["did you mean loop?"]),
     (["study", "association", "--world", "lop"], ["--world is 'lop'", "did you mean loop?"]),
+    (["study", "association", "--world", "hall"], ["--world is 'hall'", "loop"]),
 ]
 
 
@@ -183,10 +194,10 @@ def test_every_parameter_is_an_option():
 def test_fixed_names():
     """Scripts and lessons rely on these."""
     names = """filters particles seed steps association gate weighting inflate-r temper resampler resample-below
-    features preset robot from to every align record summary trajectory noise.speed noise.turn noise.range noise.bearing
-    believed.speed believed.turn believed.range believed.bearing"""
+    preset robot from to every align record summary trajectory noise.speed noise.turn noise.range noise.bearing
+    noise.odometry noise.missing believed.odometry believed.speed believed.turn believed.range believed.bearing"""
     assert {f"--{name}" for name in names.split()} <= command_line.option_names(Run)
-    assert {"--vehicle", "--period", "--layout"} <= all_world_options()
+    assert {"--vehicle", "--period", "--layout", "--features"} <= all_world_options()
 
 
 def test_options_reach_the_parameters():
@@ -301,7 +312,7 @@ def test_worlds(capsys):
 def test_one_world(capsys, name):
     assert cli.entry(["worlds", name]) == 0
     out = capsys.readouterr().out
-    assert "landmarks" in out
+    assert worlds()[name].features[0] in out
     for option in (f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(worlds()[name].options)):
         assert option in out
 

@@ -16,13 +16,13 @@ from app.recording import Recorder
 from app.recording.pipe import Pipe
 from app.recording.reading import Recording
 from app.types import best_descendant
-from scenarios.registry import build
+from scenarios.registry import build, landmark_options
 from slam.estimators import ESTIMATORS
 
 
 def told(world: str, key: str, **changes: object) -> list[tuple[int, str]]:
     """Step and text of all events of a run."""
-    source = build(world)
+    source = build(world, **landmark_options(world))
     info = session.make_info(source, [ESTIMATORS[key]], source.params(**changes), seed=1)
     watch = Watch({key: ESTIMATORS[key].title})
     return [(step.index, event.text) for step in session.steps(info) for event in watch.step(step)]
@@ -108,7 +108,7 @@ def test_the_true_path_is_whole_where_observations_are_rare(tmp_path: Path):
 
 def test_the_truth_is_not_shown_where_nobody_knows_it(tmp_path: Path):
     """Its path is interrupted, rather than drawn straight across, and the true robot goes away."""
-    source = build("loop")
+    source = build("loop", features="landmarks")
     unknown = range(40, 60)  # 10 s
     hidden = tuple(s._replace(truth=None) if i in unknown else s for i, s in enumerate(source.steps))
     blind = dataclasses.replace(source, steps=hidden)

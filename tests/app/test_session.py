@@ -76,7 +76,7 @@ def watch(
     changes: Sequence[tuple[int, Params]] = (),
     noise: Noise | None = None,
 ) -> list[SessionStep]:
-    source, watcher = build("loop"), Watch()
+    source, watcher = build("loop", features="landmarks"), Watch()
     params = source.params(particles=particles, inflate_r=1.0)
     info = session.make_info(source, [ESTIMATORS[key] for key in keys], params, noise, seed, STEPS)
     session.run(info, [watcher], changes)
@@ -133,7 +133,7 @@ def test_without_noise_dead_reckoning_is_the_truth():
 
 
 def test_a_log_keeps_its_own_noise():
-    source = build("loop")
+    source = build("loop", features="landmarks")
     log = dataclasses.replace(source, kind="log")
     watcher = Watch()
     session.run(session.make_info(log, [ESTIMATORS["ekf"]], seed=1, count=STEPS), [watcher])
@@ -142,7 +142,7 @@ def test_a_log_keeps_its_own_noise():
 
 
 def test_changes_take_effect_at_the_top_of_their_step_and_are_told():
-    params = build("loop").params(particles=10, inflate_r=1.0)
+    params = build("loop", features="landmarks").params(particles=10, inflate_r=1.0)
     changed = dataclasses.replace(
         params, particles=25, inflate_r=4.0, believed=dataclasses.replace(params.believed, range=0.5)
     )
@@ -156,7 +156,7 @@ def test_changes_take_effect_at_the_top_of_their_step_and_are_told():
 
 
 def test_a_session_goes_on_from_any_earlier_state():
-    source = build("loop")
+    source = build("loop", features="landmarks")
     info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=10), seed=3, count=STEPS)
     states = [session.start(info)]
     steps = []

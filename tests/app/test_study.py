@@ -75,7 +75,7 @@ def test_results_do_not_depend_on_the_number_of_processes(tmp_path):
 
 
 def test_log_error(capsys, tmp_path):
-    line = """log-error loop --seeds 2 --steps 10 --particles 5 10 --inflate-r 1 4 --filters fs2 ekf --jobs 1
+    line = """log-error field --seeds 2 --steps 10 --particles 5 10 --inflate-r 1 4 --filters fs2 ekf --jobs 1
     --association known"""
     found = saved(tmp_path, *line.split())
     cells = {(cell["filter"], cell["particles"], cell["inflate_r"]) for cell in found["cells"]}

@@ -47,7 +47,7 @@ NUMBERS = {
 
 
 def summarise(source=None, keys=("dfs", "fs2", "fs1", "ekf"), count=15, seed=2, path=None, align=False, **changes):
-    source = source or build("loop")
+    source = source or build("loop", features="landmarks")
     params = source.params(particles=10, **changes)
     summary = Summary(path, align=align)
     filters = [ESTIMATORS[key] for key in keys]
@@ -104,7 +104,7 @@ def test_numbers_are_those_of_the_measures():
         def end(self):
             pass
 
-    source, summary, last = build("loop"), Summary(), Last()
+    source, summary, last = build("loop", features="landmarks"), Summary(), Last()
     session.run(session.make_info(source, [ESTIMATORS["dfs"]], count=3), [summary, last])
     filter = summary.as_dict()["filters"]["dfs"]
     assert filter["position_error_m"][-1] == last.measures.position_error_m
@@ -122,7 +122,7 @@ def test_same_seed_same_summary():
 
 
 def test_what_is_not_known_is_null():
-    source = build("loop")
+    source = build("loop", features="landmarks")
     steps = tuple(
         Step(s.frame._replace(tags=np.full(len(s.frame.tags), UNKNOWN_TAG)), None if i % 2 else s.truth)
         for i, s in enumerate(source.steps)
@@ -152,8 +152,9 @@ def test_infinite_nees_is_null_and_counted():
 
 def test_alignment_takes_out_a_rigid_motion():
     plain = summarise(keys=["ekf"], count=40).as_dict()["filters"]["ekf"]
-    turned = summarise(_turned(build("loop")), ["ekf"], count=40)
-    aligned = summarise(_turned(build("loop")), ["ekf"], count=40, align=True).as_dict()["filters"]["ekf"]
+    source = _turned(build("loop", features="landmarks"))
+    turned = summarise(source, ["ekf"], count=40)
+    aligned = summarise(source, ["ekf"], count=40, align=True).as_dict()["filters"]["ekf"]
     assert turned.as_dict()["filters"]["ekf"]["position_mse"] > 1.0
     assert aligned["position_mse"] <= plain["position_mse"]
     assert max(aligned["heading_error_rad"]) < 0.2
@@ -173,7 +174,7 @@ def _turned(source):
 
 
 def test_an_interrupted_run_is_summarised_as_far_as_it_came():
-    source, summary = build("loop"), Summary()
+    source, summary = build("loop", features="landmarks"), Summary()
     info = session.make_info(source, [ESTIMATORS["dfs"]], count=5)
     summary.begin(info)
     found = summary.as_dict()

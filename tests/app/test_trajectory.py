@@ -35,7 +35,7 @@ def written(tmp_path_factory):
         def end(self):
             pass
 
-    source, keep = build("loop"), Keep()
+    source, keep = build("loop", features="landmarks"), Keep()
     params = source.params(particles=10)
     info = session.make_info(source, [ESTIMATORS[key] for key in KEYS], params, seed=1, count=STEPS)
     session.run(info, [keep, Trajectory(directory)])
@@ -139,6 +139,6 @@ def test_the_truth_is_not_drawn_where_it_is_not_known():
 
 def test_without_a_step_nothing_is_written(tmp_path):
     trajectory = Trajectory(tmp_path)
-    trajectory.begin(session.make_info(build("loop"), [ESTIMATORS["dfs"]]))
+    trajectory.begin(session.make_info(build("loop", features="landmarks"), [ESTIMATORS["dfs"]]))
     trajectory.end()
     assert list(tmp_path.iterdir()) == []

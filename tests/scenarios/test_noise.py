@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenarios.noise import add_noise
+from scenarios.noise import add_noise, check_noise
 from scenarios.registry import build
 from scenarios.sensors import BLIND
-from slam.features import Point
+from scenarios.types import SourceError
+from slam.features import Point, Wall
 from slam.motion import Ackermann, Odometry, Unicycle, deviation
-from slam.types import Frame, Noise
+from slam.types import UNKNOWN_TAG, Frame, Noise, Scan
 
 NOISE = Noise(speed=0.2, turn=0.1, range=0.05, bearing=0.02, odometry=0.3)
+SILENT = Noise(0, 0, 0, 0, 0, 0)
 
 UNICYCLE = Unicycle()
 
@@ -56,7 +58,7 @@ def test_the_level_scales_the_same_draws() -> None:
 
 def test_the_same_number_of_draws_whatever_the_level() -> None:
     after = []
-    for noise in (NOISE, Noise(0, 0, 0, 0, 0)):
+    for noise in (NOISE, SILENT):
         rng = np.random.default_rng(5)
         add_noise(rng, frame(9, 3), noise)
         after.append(rng.standard_normal())
@@ -64,8 +66,8 @@ def test_the_same_number_of_draws_whatever_the_level() -> None:
 
 
 def test_no_noise_changes_nothing() -> None:
-    for step in build("loop", laps=0.1).steps:
-        noisy = add_noise(np.random.default_rng(0), step.frame, Noise(0, 0, 0, 0, 0))
+    for step in build("loop", laps=0.1, features="landmarks").steps:
+        noisy = add_noise(np.random.default_rng(0), step.frame, SILENT)
         np.testing.assert_array_equal(noisy.u, step.frame.u)
         np.testing.assert_array_equal(noisy.z, step.frame.z)
 
@@ -87,3 +89,79 @@ def test_a_frame_without_observations() -> None:
     noisy = add_noise(np.random.default_rng(0), frame(5, 0), NOISE)
     assert noisy.z.shape == (0, 2)
     assert noisy.u.shape == (5, 2)
+
+
+def scanned(beams: int, distance: float = 4.0, max_range: float = 8.0) -> Frame:
+    """Every third beam meets nothing."""
+    walls = np.where(np.arange(beams) % 3 == 0, UNKNOWN_TAG, 7)
+    ranges = np.where(walls == 7, distance, np.inf)
+    scan = Scan(ranges, np.linspace(-1, 1, beams), np.zeros(3), max_range, walls)
+    u = np.array([[0.4, 0.0, 0.1]])
+    return Frame(1.0, Odometry(), u, np.array([0.5]), Wall(), np.empty((0, 10)), np.empty(0, np.int64), scan)
+
+
+def noisy_scan(frame: Frame, noise: Noise, seed: int = 0) -> Scan:
+    found = add_noise(np.random.default_rng(seed), frame, noise).scan
+    assert found is not None
+    return found
+
+
+def test_noise_of_a_scan() -> None:
+    """60000 beams, two thirds of them returns: 4 standard errors of mean, deviation and share."""
+    exact = scanned(60_000)
+    assert exact.scan is not None
+    found = noisy_scan(exact, Noise(range=0.05, missing=0.2))
+    back = np.isfinite(found.ranges)
+    assert not back[exact.scan.walls == UNKNOWN_TAG].any()
+    assert abs(back.sum() / 40_000 - 0.8) < 4 * math.sqrt(0.16 / 40_000)
+    errors = found.ranges[back] - 4.0
+    assert abs(errors.mean()) < 4 * 0.05 / math.sqrt(32_000)
+    assert abs(errors.std() / 0.05 - 1) < 4 / math.sqrt(64_000)
+    assert found.walls is not None
+    np.testing.assert_array_equal(found.walls == 7, back)  # what did not come back met nothing
+    np.testing.assert_array_equal(found.bearings, exact.scan.bearings)
+
+
+def test_the_level_of_a_scan_scales_the_same_draws() -> None:
+    exact = scanned(300)
+    one, two = (noisy_scan(exact, Noise(range=sigma)) for sigma in (0.01, 0.02))
+    back = np.isfinite(one.ranges)
+    np.testing.assert_allclose(two.ranges[back] - 4.0, 2 * (one.ranges[back] - 4.0), atol=1e-12)
+    few, many = (noisy_scan(exact, Noise(range=0.01, missing=share)) for share in (0.1, 0.4))
+    assert np.isinf(many.ranges[np.isinf(few.ranges)]).all()
+    kept = np.isfinite(many.ranges)
+    np.testing.assert_array_equal(many.ranges[kept], one.ranges[kept])
+    assert np.isinf(noisy_scan(exact, Noise(missing=1.0)).ranges).all()
+    after = []
+    for noise in (Noise(range=0.3, odometry=0.5, missing=0.7), SILENT):
+        rng = np.random.default_rng(5)
+        add_noise(rng, exact, noise)
+        after.append(rng.standard_normal())
+    assert after[0] == after[1]
+
+
+@pytest.mark.parametrize("name", ["loop", "hall"])
+def test_no_noise_changes_no_scan(name: str) -> None:
+    for frame, _ in build(name, laps=0.2).steps:
+        noisy = add_noise(np.random.default_rng(0), frame, SILENT)
+        assert frame.scan is not None
+        assert noisy.scan is not None
+        np.testing.assert_array_equal(noisy.u, frame.u)
+        for a, b in zip(noisy.scan, frame.scan, strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert noisy.z.shape == (0, 10)
+
+
+def test_a_reading_is_neither_negative_nor_beyond_the_reach() -> None:
+    near = noisy_scan(scanned(999, distance=0.02), NOISE)
+    assert near.ranges.min() == BLIND
+    far = noisy_scan(scanned(999, distance=7.99), NOISE)
+    assert far.walls is not None
+    assert 0.3 < np.isinf(far.ranges[far.walls == 7]).mean() + np.isinf(far.ranges).mean() < 0.9
+    assert far.ranges[np.isfinite(far.ranges)].max() <= 8.0
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_a_share_is_between_0_and_1(share: float) -> None:
+    with pytest.raises(SourceError, match=r"noise.missing is .*; expected a number at least 0"):
+        check_noise(Noise(missing=share))

@@ -1,6 +1,7 @@
 """Routes become controls, and controls become poses that the motion model agrees with."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,17 @@ def test_a_car_on_a_long_arc_steers_as_geometry_says() -> None:
     assert u[:, 1].max() == pytest.approx(math.asin(2.0 / 30.0), abs=2e-3)
 
 
+def test_waiting_comes_before_all_else() -> None:
+    route = Route(((0, 0), (2, 0)), start_turn=1.0, tick=0.1)
+    u, _ = controls(route, UNICYCLE)
+    waited, dt = controls(replace(route, wait=3.05), UNICYCLE)
+    assert (waited[:31] == 0).all()
+    np.testing.assert_array_equal(waited[31:], u)
+    assert (dt == 0.1).all()
+    steered, _ = controls(Route(((0, 0), (2, 0)), wait=1.0), CAR)
+    assert (steered[:10] == 0).all()
+
+
 def test_repeated_waypoints_are_one() -> None:
     a, b = Route(((0, 0), (0, 0), (3, 0), (3, 0))), Route(((0, 0), (3, 0)))
     np.testing.assert_array_equal(controls(a, Unicycle())[0], controls(b, Unicycle())[0])
@@ -76,6 +88,7 @@ def test_repeated_waypoints_are_one() -> None:
         (Route(((0, 0), (9, 0)), start_turn=1.0), CAR, "cannot turn on the spot"),
         (Route(((0, 0), (9, 0), (9, 9)), corner_radius=1.0), CAR, "wheelbase of 2 m"),
         (Route(((0, 0), (1000, 0)), speed=1e-5), Unicycle(), "at most 2000000"),
+        (Route(((0, 0), (1, 0)), wait=900_000.0), Unicycle(), "at most 2000000"),
     ],
 )
 def test_impossible_routes(route: Route, motion: Any, message: str) -> None:

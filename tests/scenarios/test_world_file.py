@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenarios.laser import Laser
 from scenarios.paper_line import LAYOUTS
 from scenarios.registry import build, scenario, worlds
 from scenarios.simulate import simulate
 from scenarios.types import Source, SourceError
+from scenarios.world import World, world_of_points, world_of_walls
 from scenarios.world_file import read_scenario, read_world, world_text, write_world
-from slam.motion import Ackermann
+from slam.motion import Ackermann, Odometry
+from slam.types import Noise
 
 GOOD = """\
 title = "two trees"
@@ -65,7 +68,9 @@ def assert_same(a: Source, b: Source) -> None:
         assert f.time == g.time
         assert s is not None
         assert t is not None
-        for x, y in ((f.u, g.u), (f.dt, g.dt), (f.z, g.z), (f.tags, g.tags), (s, t)):
+        scans = zip(f.scan or (), g.scan or (), strict=True)
+        for x, y in ((f.u, g.u), (f.dt, g.dt), (f.z, g.z), (f.tags, g.tags), (s, t), *scans):
+            x, y = np.asarray(x), np.asarray(y)
             np.testing.assert_array_equal(x, y)
             assert x.dtype == y.dtype
 
@@ -75,8 +80,11 @@ def assert_same(a: Source, b: Source) -> None:
     [
         *((name, {}) for name in worlds()),
         *(("paper-line", {"layout": layout, "vehicle": "ackermann"}) for layout in LAYOUTS),
-        ("rotation-then-corridor", {"turn_deg": 123.456789, "turn_rate_deg": 31.7}),
-        ("loop", {"laps": 1.0 / 3.0, "width": 1.9}),
+        *((name, {"features": "landmarks"}) for name in ("corridor", "loop", "rotation-then-corridor")),
+        ("rotation-then-corridor", {"turn_deg": 123.456789, "turn_rate_deg": 31.7, "features": "landmarks"}),
+        ("rotation-then-corridor", {"turn_deg": 12.3456789, "turn_rate_deg": 31.7, "view_deg": 271.3}),
+        ("loop", {"laps": 1.0 / 3.0, "width": 1.9, "features": "landmarks"}),
+        ("loop", {"laps": 1.0 / 3.0, "width": 1.9, "beams": 77, "doors": "open"}),
         ("field", {"landmarks": 200, "length": 55.5}),
     ],
 )
@@ -95,6 +103,142 @@ def test_angles_keep_their_bits(tmp_path: Path, turn: float) -> None:
     path = tmp_path / "turned.toml"
     write_world(path, made)
     assert_same(simulate(made), read_world(path))
+
+
+def test_a_scenario_of_walls_keeps_its_bits(tmp_path: Path) -> None:
+    made = scenario("hall", people=3)
+    made = replace(
+        made,
+        route=replace(made.route, wait=1.7),
+        sensor=Laser(
+            beams=33, field_of_view=1.2345678901234567, max_range=math.inf, every=7, origin=(0.1, -0.2, 1 / 3)
+        ),
+        noise=Noise(speed=0.1, turn=1 / 3, range=0.012, bearing=0.1, odometry=0.07, missing=0.01),
+        defaults={"temper": 0.1},
+    )
+    path = tmp_path / "hall.toml"
+    write_world(path, made)
+    assert_same(simulate(made), read_world(path))
+
+
+def test_landmarks_and_walls_in_one_world(tmp_path: Path) -> None:
+    """The sensor tells which are seen; the others are kept."""
+    both = World(world_of_points([(5, 3), (12, 4.5)]).landmarks, world_of_walls([(0, 2, 9, 2)]).walls)
+    made = replace(read_scenario(write(tmp_path, GOOD)), world=both)
+    for sensor in (made.sensor, Laser()):
+        path = tmp_path / "both.toml"
+        write_world(path, replace(made, sensor=sensor))
+        copy = read_scenario(path)
+        np.testing.assert_array_equal(copy.world.landmarks.theta, both.landmarks.theta)
+        np.testing.assert_array_equal(copy.world.walls.theta, both.walls.theta)
+        source = read_world(path)
+        assert source.true_map is not None
+        assert source.true_map.theta.shape[1] == (4 if isinstance(sensor, Laser) else 2)
+        assert source.warnings == ()
+
+
+WALLS = """\
+[route]
+speed = 0.8
+waypoints = [[0, 0], [10.0, 0]]
+
+[laser]
+max_range = 8
+
+[noise]
+range = 0.01
+odometry = 0.1
+
+[walls]
+segments = [[-2, 1, 12, 1], [-2, -1, 12, -1.5]]
+"""
+
+
+def test_a_world_of_walls_of_ones_own(tmp_path: Path) -> None:
+    source = read_world(write(tmp_path, WALLS))
+    assert (source.motion, source.max_range, source.warnings) == (Odometry(), 8.0, ())
+    assert source.noise == Noise(range=0.01, odometry=0.1)
+    scan = source.steps[0].frame.scan
+    assert scan is not None
+    assert scan.walls is not None
+    assert len(scan.ranges) == 181
+    assert set(scan.walls.tolist()) == {0, 1, -1}
+    around = WALLS.replace("max_range = 8", "max_range = 8\nfield_of_view_deg = 360\nbeams = 360\norigin = [0.2, 0]")
+    scan = read_world(write(tmp_path, around)).steps[0].frame.scan
+    assert scan is not None
+    assert np.degrees(scan.bearings[-1] - scan.bearings[0]) == pytest.approx(359)
+    assert scan.origin.tolist() == [0.2, 0.0, 0.0]
+    quiet = read_world(write(tmp_path, WALLS.replace("range = 0.01", "range = 0")))
+    assert quiet.warnings == ("noise.range is 0: let the filters believe in more than that",)
+
+
+def test_a_robot_that_waits(tmp_path: Path) -> None:
+    source = read_world(write(tmp_path, WALLS.replace("speed = 0.8", "speed = 0.8\nwait = 3600")))
+    assert len(source.steps) == 7225
+
+
+def test_walls_in_the_way_are_a_warning(tmp_path: Path) -> None:
+    text = WALLS.replace("[-2, 1, 12, 1]", "[3, 1, 3, -1]")
+    [warning] = read_world(write(tmp_path, text)).warnings
+    assert "walls.segments[0], from (3, 1) to (3, -1), is in the way" in warning
+
+
+BAD_WALLS = [
+    ("segments = [[-2, 1, 12, 1], [-2, -1, 12, -1.5]]", "segments = []", 13, ["walls.segments: there are 0"]),
+    ("[-2, 1, 12, 1]", "[3, 4, 3, 4]", 13, ["walls.segments[0] is [3, 4, 3, 4], a wall of no length"]),
+    ("-1.5]", "inf]", 13, ["walls.segments[1] is [-2, -1, 12, inf]", "finite metres"]),
+    ("[-2, 1, 12, 1]", "[3, 4, 3]", 13, ["walls.segments[0] is [3, 4, 3]", "4 numbers, [x0, y0, x1, y1]"]),
+    ("[-2, 1, 12, 1]", '"a wall"', 13, ["walls.segments[0] is 'a wall'"]),
+    ("[walls]", "[wals]", None, ["walls is missing", "'wals' is there", "[walls]"]),
+    ("segments", "segment", 12, ["walls.segments is missing", "'segment' is there"]),
+    ("[laser]", "[lasr]", None, ["sensor is missing", "[sensor] or [laser]"]),
+    ("[laser]", "[sensor]\nmax_range = 3\n[laser]", 7, ["laser and sensor are both there"]),
+    ("max_range = 8\n", "", 5, ["laser.max_range is missing"]),
+    ("max_range = 8", "max_range = 0", 6, ["laser.max_range is 0", "above 0.01"]),
+    ("max_range = 8", "max_range = 8\nbeams = 0", 7, ["laser.beams is 0", "at least 1"]),
+    ("max_range = 8", "max_range = 8\nbeams = 1.5", 7, ["laser.beams is 1.5", "whole number"]),
+    ("max_range = 8", "max_range = 8\nfield_of_view_deg = 361", 7, ["laser.field_of_view_deg is 361", "at most 360"]),
+    ("max_range = 8", "max_range = 8\nfield_of_view_deg = 0", 7, ["laser.field_of_view_deg is 0", "above 0"]),
+    ("max_range = 8", "max_range = 8\nevery = 0", 7, ["laser.every is 0"]),
+    ("max_range = 8", "max_range = 8\nevery = 1000", 7, ["laser.every is 1000", "only 125 control ticks"]),
+    ("max_range = 8", "max_range = 8\norigin = [0.1]", 7, ["laser.origin is [0.1]", "2 numbers"]),
+    ("max_range = 8", "max_range = 8\nbeam = 3", 7, ["laser.beam is not a known key", "'beams'"]),
+    ("max_range = 8", "max_range = 0.5", 1, ["none of the 2 walls comes into view", "laser.max_range 0.5 m"]),
+    ("odometry = 0.1\n", "", 8, ["noise.odometry is missing"]),
+    ("odometry = 0.1", "odometry = 0.1\nmissing = 2", 11, ["noise.missing is 2", "at most 1"]),
+    ("odometry = 0.1", "odometry = -0.1", 10, ["noise.odometry is -0.1", "at least 0"]),
+    ("speed = 0.8", "speed = 0.8\nwait = -1", 3, ["route.wait is -1", "at least 0"]),
+    ("[walls]", "[movers]\npaths = [[0, 0, 1, 1]]\n[walls]", 12, ["movers.speeds is missing"]),
+    (
+        "[walls]",
+        "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1, 2]\n[walls]",
+        14,
+        ["movers.speeds is [1, 2]", "expected 1 numbers"],
+    ),
+    (
+        "[walls]",
+        "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1]\noffsets = [0]\nradii = [0]\n[walls]",
+        16,
+        ["movers.radii[0] is 0.0", "above 0"],
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "parts"), BAD_WALLS, ids=[f"{i}-{bad[1][-20:]}" for i, bad in enumerate(BAD_WALLS)]
+)
+def test_what_is_wrong_with_walls_is_said(
+    tmp_path: Path, old: str, new: str, line: int | None, parts: list[str]
+) -> None:
+    assert WALLS.count(old) == 1
+    path = write(tmp_path, WALLS.replace(old, new))
+    with pytest.raises(SourceError) as caught:
+        read_world(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: " if line is None else f"{path}:{line}: ")
+    assert all(part in message for part in parts), message
+    assert "expected" in message or "did you mean" in message
+    assert "\n" not in message
 
 
 def test_titles_are_quoted(tmp_path: Path) -> None:

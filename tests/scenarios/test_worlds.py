@@ -1,4 +1,4 @@
-"""Every world: exact, sensible, and what its options promise."""
+"""Every world of landmarks: exact, sensible, and what its options promise.  Worlds of walls: `test_wall_worlds.py`."""
 
 import math
 from typing import Any
@@ -6,26 +6,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenarios.floorplan import straight_corridor
 from scenarios.noise import add_noise
 from scenarios.paper_line import LAYOUTS
 from scenarios.preview import preview, world_row
-from scenarios.registry import build, is_world, worlds
+from scenarios.registry import build, is_world, landmark_options, worlds
 from scenarios.scatter import scatter
 from scenarios.sensors import Sensor, observe
 from scenarios.types import Source, SourceError
 from slam.features import innovation
 from slam.motion import Ackermann, propagate
 
-VARIANTS: list[tuple[str, dict[str, Any]]] = [
-    *((name, {}) for name in worlds()),
+LANDMARKS = {"features": "landmarks"}
+WORLDS = [name for name, entry in worlds().items() if "landmarks" in entry.features]
+
+VARIANTS: list[tuple[str, Any]] = [
+    *((name, landmark_options(name)) for name in WORLDS),
     ("paper-line", {"vehicle": "ackermann"}),
     ("paper-line", {"period": "0.2"}),
     *(("paper-line", {"layout": layout}) for layout in LAYOUTS),
-    ("corridor", {"length": 30.0, "width": 3.0, "door_spacing": 4.0}),
-    ("loop", {"laps": 2.1, "length": 40.0}),
-    ("loop", {"view_deg": 180.0, "laps": 0.5}),
-    ("rotation-then-corridor", {"turn_deg": -180.0}),
+    ("corridor", {"length": 30.0, "width": 3.0, "door_spacing": 4.0, **LANDMARKS}),
+    ("loop", {"laps": 2.1, "length": 40.0, **LANDMARKS}),
+    ("loop", {"view_deg": 180.0, "laps": 0.5, **LANDMARKS}),
+    ("rotation-then-corridor", {"turn_deg": -180.0, **LANDMARKS}),
     ("field", {"landmarks": 500, "length": 90.0, "layout_seed": 3}),
 ]
 
@@ -144,7 +146,7 @@ def test_layouts_show_as_many_landmarks_as_they_say(layout: str, least: int, mos
 
 @pytest.mark.parametrize("name", ["corridor", "loop", "rotation-then-corridor", "field"])
 def test_indoor_worlds_are_worth_filtering(name: str) -> None:
-    source = build(name)
+    source = build(name, **landmark_options(name))
     row = world_row(source)
     assert 150 <= row.steps <= 500
     assert 2.5 <= row.visible <= 12
@@ -153,7 +155,7 @@ def test_indoor_worlds_are_worth_filtering(name: str) -> None:
 
 
 def test_loop_returns_into_known_ground() -> None:
-    source = build("loop")
+    source = build("loop", **LANDMARKS)
     path = np.array([step.truth for step in source.steps])
     seen = [set(step.frame.tags.tolist()) for step in source.steps]
     lap = next(i for i in range(100, len(path)) if math.hypot(*path[i, :2]) < 0.5)
@@ -171,7 +173,7 @@ def test_loop_returns_into_known_ground() -> None:
 
 def test_loop_stays_inside_its_corridor() -> None:
     for laps in (0.3, 0.99, 1.0, 2.26):
-        for step in build("loop", laps=laps).steps:
+        for step in build("loop", laps=laps, **LANDMARKS).steps:
             assert step.truth is not None
             x, y = step.truth[:2]
             outside = max(abs(x) - 15.0, abs(y - 10.0) - 10.0)
@@ -179,26 +181,12 @@ def test_loop_stays_inside_its_corridor() -> None:
 
 
 def test_rotation_sees_nothing_until_it_is_over() -> None:
-    source = build("rotation-then-corridor")
+    source = build("rotation-then-corridor", **LANDMARKS)
     turning = [step for step in source.steps if (step.frame.u[:, 0] == 0).all()]
     assert len(turning) == 24  # 360 degrees at 30 degrees/s, observed every 0.5 s
     assert all(len(step.frame.tags) == 0 for step in turning)
     assert sum(step.frame.u[:, 1].sum() * 0.1 for step in turning) == pytest.approx(2 * math.pi)
     assert np.mean([len(step.frame.tags) > 0 for step in source.steps]) > 0.8
-
-
-def test_corridor_posts_stand_where_walls_end() -> None:
-    walls, posts = straight_corridor(2.0, 20.0, 3.0, 5.0, 1.0)
-    assert set(np.abs(walls[:, :, 1]).ravel()) == {1.5}
-    for x, y in posts:
-        assert any((wall[1] == (x, y)).all() for wall in walls)
-        assert any(np.allclose(wall[0], (x + 1.0, y)) for wall in walls)
-    for side in (1.5, -1.5):
-        pieces = walls[walls[:, 0, 1] == side]
-        doors = (posts[:, 1] == side).sum()
-        assert len(pieces) == doors + 1
-        assert (pieces[0, 0, 0], pieces[-1, 1, 0]) == (2.0, 22.0)
-        assert np.diff(pieces[:, :, 0]).sum() == pytest.approx(20.0 - doors)
 
 
 def test_scatter_keeps_its_distance_and_its_seed() -> None:
@@ -230,13 +218,17 @@ def test_the_same_options_give_the_same_bits() -> None:
         ("corridor", {"door_spacing": 1e-6, "door_width": 1e-7}, ["door_spacing is 1e-06", "at most 1000000 doors"]),
         ("loop", {"door_width": 11.0}, ["door_width is 11", "door_spacing of 5 m"]),
         ("loop", {"length": 1.0}, ["length", "expected room"]),
+        ("loop", {"features": "landmark"}, ["features is 'landmark'", "'landmarks'"]),
+        ("hall", {"features": "walls"}, ["hall", "unknown option 'features'"]),
+        ("loop", {"max_range": 0.0}, ["max_range is 0.0", "above"]),
+        ("loop", {"view_deg": 400.0, **LANDMARKS}, ["view_deg is 400.0", "at most 360"]),
         ("paper-line", {"layout": "alternate"}, ["paper-line: layout is 'alternate'", "'alternating'"]),
         ("paper-line", {"max_range": -1.0}, ["max_range is -1.0", "above 0"]),
         ("paper-line", {"max_range": 1.0}, ["none of the 5 landmarks", "max_range 1 m", "nearest landmark 6"]),
         ("corridor", {"length": math.nan}, ["length is nan", "a number"]),
         ("corridor", {"length": "long"}, ["length is 'long'", "a number"]),
         ("corridor", {"speed": 0.0}, ["speed is 0.0", "above 0"]),
-        ("corridor", {"length": 3.0}, ["corridor: landmarks: there are 0", "expected 1"]),
+        ("corridor", {"length": 3.0, **LANDMARKS}, ["corridor: landmarks: there are 0", "expected 1"]),
         ("rotation-then-corridor", {"lobby": -1.0}, ["lobby is -1.0", "at least 0"]),
         ("field", {"landmarks": 0}, ["number is 0", "at least 1"]),
         ("field", {"landmarks": 1.5}, ["landmarks is 1.5", "a whole number"]),
@@ -258,10 +250,10 @@ def test_is_world() -> None:
     assert not is_world("somewhere/log.gz")
 
 
-@pytest.mark.parametrize("name", worlds())
+@pytest.mark.parametrize("name", WORLDS)
 @pytest.mark.parametrize("ascii_only", [True, False])
 def test_preview(name: str, ascii_only: bool) -> None:
-    source = build(name)
+    source = build(name, **landmark_options(name))
     lines = preview(source, 60, 15, ascii_only=ascii_only).splitlines()
     *picture, legend = lines
     assert len(picture) <= 15

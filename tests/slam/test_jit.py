@@ -110,6 +110,16 @@ def test_every_kernel_has_the_stamp_of_the_package() -> None:
         assert compiled._cache._cache_file._source_stamp == _jit._package_stamp()
 
 
+def test_a_kernel_elsewhere_depends_on_its_own_file_too(tmp_path: Path) -> None:
+    place = tmp_path / "elsewhere.py"
+    stamps = []
+    for text in ("a = 1\n", "a = 2\n"):
+        place.write_text(text, encoding="utf-8")
+        stamps.append(_jit._stamp(place))
+    assert stamps[0] != stamps[1]
+    assert all(stamp.startswith(_jit._package_stamp()) for stamp in stamps)
+
+
 @pytest.mark.parametrize("compile_", [kernel, inline], ids=["kernel", "inline"])
 def test_compiled_code_cannot_allocate(compile_: Callable[..., Any]) -> None:
     def allocates(x: int) -> Any:
