@@ -24,6 +24,7 @@ from scenarios.types import Source
 from slam.genealogy import Genealogy
 from slam.metrics import measure
 from slam.motion import propagate
+from slam.perception import perceive
 from slam.types import Estimator, Floats, Noise, Params, Particles
 
 WORLD = "world"
@@ -62,6 +63,7 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
     exact, truth = info.source.steps[state.done]
     noisy = info.source.kind == "world"  # a log has its noise already
     frame = add_noise(stream(info.seed, WORLD, index), exact, info.noise) if noisy else exact
+    frame = perceive(frame, params)
 
     odometry = state.odometry
     for u, dt in zip(frame.u, frame.dt, strict=True):

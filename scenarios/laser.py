@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from scenarios.checks import LARGEST, check_angle, check_number
 from scenarios.sensors import BLIND, MAX_OBSERVATIONS
-from scenarios.types import SourceError
+from scenarios.types import SourceError, TrueMap
 from slam._jit import inline, kernel
 from slam.geometry import TWO_PI, compose, wrap
 from slam.types import UNKNOWN_TAG, Floats, Ints, Scan
@@ -19,6 +20,10 @@ MAX_BEAMS = 100_000
 
 OVERLAP = 1e-9
 """[m] that a wall is longer at both ends for the beams, so that none slips through a corner of two walls."""
+
+CORNER = 1e-6
+"""[m] A beam that meets two walls nearer to one another than this has hit a corner, and the tag is that of a face which
+is turned to the laser."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,9 @@ def scan(laser: Laser, walls: Floats, poses: Floats, discs: Floats | None = None
     """What is seen of the walls (n, 4) from the poses (S, 3) of the robot; `discs` (S, m, 3) (x, y, radius) [m] hide
     it.
 
-    A beam that ends on a disc carries `UNKNOWN_TAG`.  Neither a wall nearer than `BLIND` is seen, nor a disc that the
-    laser is in.  Raises `SourceError` where the memory would not hold so many beams.
+    A beam that ends on a wall carries the tag of the face that it meets: n for the one to the left of wall n, and n
+    plus the number of walls for the other (`faces`); one that ends on a disc carries `UNKNOWN_TAG`.  Neither a wall
+    nearer than `BLIND` is seen, nor a disc that the laser is in.  Raises `SourceError` where the memory would not hold so many beams.
     """
     steps, beams = len(poses), laser.beams
     if steps * beams > MAX_OBSERVATIONS:
@@ -133,6 +139,7 @@ def _cast(
             if sweep < 0.0:
                 start, sweep = end, -sweep
             start = wrap(start - phi)
+            front = (bx - ax) * ay <= (by - ay) * ax  # the laser is to the left of the wall, or on its line
             everywhere = sweep > 3.14 or ax * ax + ay * ay < 1e-6 or bx * bx + by * by < 1e-6
             for turn in range(2):  # the wall may reach across the seam behind the laser
                 low, high = 0, B - 1
@@ -143,8 +150,12 @@ def _cast(
                     break
                 for i in range(low, high + 1):
                     distance = _meet(ax, ay, bx - ax, by - ay, work[i, 0], work[i, 1])
-                    if BLIND <= distance <= max_range and distance < ranges[k, i]:
-                        ranges[k, i], tags[k, i] = distance, n
+                    if not BLIND <= distance <= max_range:
+                        continue
+                    nearer, from_behind = ranges[k, i] - distance, tags[k, i] >= len(walls)
+                    if nearer > CORNER or (abs(nearer) <= CORNER and front and from_behind):
+                        tags[k, i] = n if front else len(walls) + n
+                    ranges[k, i] = min(ranges[k, i], distance)
         for m in range(discs.shape[1]):
             cx, cy, radius = discs[k, m, 0] - x, discs[k, m, 1] - y, discs[k, m, 2]
             away = math.hypot(cx, cy)
@@ -160,6 +171,18 @@ def _cast(
                     ranges[k, i], tags[k, i] = distance, UNKNOWN_TAG
 
 
+def faces(walls: Floats, scans: Sequence[Scan]) -> TrueMap:
+    """Walls (n, 4) and their tags, and after them the backs of those that scans see from behind, turned round.
+
+    The two faces of a wall are two features of a map (Fig. 11).
+    """
+    seen = [walls_in_view(found) for found in scans]
+    behind = np.unique(np.concatenate(seen)) if seen else np.empty(0, np.int64)
+    behind = behind[behind >= len(walls)]
+    theta = np.concatenate([walls, walls[behind - len(walls)][:, [2, 3, 0, 1]]])
+    return TrueMap(np.concatenate([np.arange(len(walls)), behind]), theta)
+
+
 def walls_in_view(found: Scan) -> Ints:
-    """The tags of the walls that a scan of a simulated world meets, in order."""
+    """The tags of the faces that a scan of a simulated world meets, in order."""
     return np.empty(0, np.int64) if found.walls is None else np.unique(found.walls[found.walls != UNKNOWN_TAG])

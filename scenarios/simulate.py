@@ -9,12 +9,12 @@ import numpy as np
 
 from scenarios.checks import check_number
 from scenarios.collisions import collisions
-from scenarios.laser import Laser, check_laser, scan
+from scenarios.laser import Laser, check_laser, faces, scan
 from scenarios.movers import places
 from scenarios.noise import check_noise
 from scenarios.route import Route, check_route, controls, drive, start_pose
 from scenarios.sensors import Sensor, check_sensor, observe
-from scenarios.types import Source, SourceError, Step
+from scenarios.types import Source, SourceError, Step, TrueMap
 from scenarios.world import World, check_landmarks, check_walls
 from slam.features import Point, Wall
 from slam.geometry import compose, invert, wrap_all
@@ -67,7 +67,6 @@ def simulate(scenario: Scenario) -> Source:
     see = _see_walls if isinstance(sensor, Laser) else _see_landmarks
     frames = see(scenario, u, dt, path)
     truth = path[sensor.every :: sensor.every]  # (count, 3)
-    seen = scenario.world.walls if isinstance(sensor, Laser) else scenario.world.landmarks
     return Source(
         name=scenario.name,
         title=scenario.title,
@@ -77,12 +76,19 @@ def simulate(scenario: Scenario) -> Source:
         steps=tuple(Step(frame, pose) for frame, pose in zip(frames, truth, strict=True)),
         start=start,
         noise=scenario.noise,
-        true_map=seen,
+        true_map=_true_map(scenario, frames),
         max_range=sensor.max_range,
         defaults=dict(scenario.defaults),
         warnings=(*_silent(scenario), *_in_the_way(scenario.world, route, path)),
         options=dict(scenario.options),
     )
+
+
+def _true_map(scenario: Scenario, frames: list[Frame]) -> TrueMap:
+    """The landmarks, or the walls, with the backs of those that are seen from both sides."""
+    if not isinstance(scenario.sensor, Laser):
+        return scenario.world.landmarks
+    return faces(scenario.world.walls.theta, [frame.scan for frame in frames if frame.scan is not None])
 
 
 def _see_landmarks(scenario: Scenario, u: Floats, dt: Floats, path: Floats) -> list[Frame]:

@@ -15,7 +15,7 @@ class TrueMap(NamedTuple):
     """The landmarks, or the walls, as they are."""
 
     tags: Ints
-    """(n,) for walls their index."""
+    """(n,) for walls their index; a wall that is seen from behind has a second row, of another tag, turned round."""
     theta: Floats
     """(n, 2) x y of landmarks, (n, 4) x0 y0 x1 y1 of walls [m]"""
 

@@ -23,7 +23,7 @@ from slam.association.nearest import nearest_first, slot_for
 from slam.features import compatible, innovation, region, total
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
 from slam.map_store import FAN, LEAF, leaf_of, search
-from slam.types import IGNORED, NEW, Floats, Frame, Ints, ObservationNoise, Params, Particles
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
 
 MAX_CANDIDATES = 8
 """Features that one observation may choose from: the nearest of those that passed the gate (ours)."""
@@ -47,6 +47,7 @@ def _associated(particles: Particles, frame: Frame, R: ObservationNoise, params:
     maps = particles.maps
     if params.association == "known":
         n = maps.find(frame.tags)
+        n[:, frame.tags == UNKNOWN_TAG] = IGNORED
         if params.gate_known < 1.0:
             theta, Sigma = maps.take(n)
             gate = chi_square_gates(params.gate_known, 1)[1]

@@ -31,6 +31,13 @@ def slow_disc(x: float, y: float, angle: float, disc: np.ndarray) -> float:
     return -b - math.sqrt(b * b - c) if c > 0 and b < 0 and b * b > c else math.inf
 
 
+def face(walls: np.ndarray, n: int, x: float, y: float) -> int:
+    """The tag of the face of wall n that is turned to (x, y)."""
+    x0, y0, x1, y1 = walls[n]
+    left = np.linalg.det([[x1 - x0, y1 - y0], [x - x0, y - y0]]) > 0
+    return n if left else n + len(walls)
+
+
 @pytest.mark.parametrize(
     "laser",
     [
@@ -64,7 +71,7 @@ def test_against_a_slow_implementation(laser: Laser) -> None:
                 assert (reading, tag) == (math.inf, UNKNOWN_TAG)
                 continue
             assert reading == pytest.approx(each[nearest], abs=1e-9)
-            assert tag == (nearest if nearest < len(walls) else UNKNOWN_TAG)
+            assert tag == (face(walls, nearest, x, y) if nearest < len(walls) else UNKNOWN_TAG)
             hidden += tag == UNKNOWN_TAG
     assert hidden > 0 or laser.beams < 50
 

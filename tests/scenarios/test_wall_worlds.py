@@ -59,7 +59,8 @@ def test_a_wall_world_is_what_it_should_be(name: str, options: dict[str, Any]) -
     assert isinstance(source.motion, Odometry)
     assert source.true_map is not None
     tags, theta = source.true_map
-    assert tags.tolist() == list(range(len(theta)))
+    if options.get("doors") != "open" and options.get("width") != 3.0:  # backs are seen through doors and small rooms
+        assert tags.tolist() == list(range(len(theta)))
     assert theta.shape == (len(tags), 4)
     assert lengths(theta).min() > 0.05
     elapsed = 0.0
@@ -205,11 +206,11 @@ def test_whoever_sees_a_wall_is_to_the_left_of_it(kind: Any) -> None:
     """As `slam.features.wall` has it; seen by a robot in the corridor, whatever is behind the doors."""
     source = build("loop", doors=kind, laps=1.0)
     assert source.true_map is not None
-    theta = source.true_map.theta
+    theta = dict(zip(*source.true_map, strict=True))
     for frame, truth in source.steps[::10]:
         assert frame.scan is not None
         assert truth is not None
-        for wall in theta[walls_in_view(frame.scan)]:
+        for wall in (theta[tag] for tag in walls_in_view(frame.scan)):
             d, to = wall[2:] - wall[:2], truth[:2] - wall[:2]
             assert d[0] * to[1] - d[1] * to[0] > 0
 

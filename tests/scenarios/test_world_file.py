@@ -162,7 +162,7 @@ def test_a_world_of_walls_of_ones_own(tmp_path: Path) -> None:
     assert scan is not None
     assert scan.walls is not None
     assert len(scan.ranges) == 181
-    assert set(scan.walls.tolist()) == {0, 1, -1}
+    assert set(scan.walls.tolist()) == {2, 1, -1}
     around = WALLS.replace("max_range = 8", "max_range = 8\nfield_of_view_deg = 360\nbeams = 360\norigin = [0.2, 0]")
     scan = read_world(write(tmp_path, around)).steps[0].frame.scan
     assert scan is not None
