@@ -74,7 +74,8 @@ def scan(laser: Laser, walls: Floats, poses: Floats, discs: Floats | None = None
 
     A beam that ends on a wall carries the tag of the face that it meets: n for the one to the left of wall n, and n
     plus the number of walls for the other (`faces`); one that ends on a disc carries `UNKNOWN_TAG`.  Neither a wall
-    nearer than `BLIND` is seen, nor a disc that the laser is in.  Raises `SourceError` where the memory would not hold so many beams.
+    nearer than `BLIND` is seen, nor a disc that the laser is in.  Raises `SourceError` where the memory would not
+    hold so many beams.
     """
     steps, beams = len(poses), laser.beams
     if steps * beams > MAX_OBSERVATIONS:
