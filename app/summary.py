@@ -42,8 +42,8 @@ from app.files import write_whole
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
+from slam.alignment import align_rigid
 from slam.geometry import wrap_all
-from slam.metrics import align_rigid
 from slam.types import UNKNOWN_TAG, Floats
 
 SCHEMA = 1
