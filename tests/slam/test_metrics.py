@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam.features import Point
+from slam.features import Point, Wall
 from slam.genealogy import Genealogy
 from slam.metrics import (
     Measures,
@@ -217,16 +217,17 @@ TRUE_THETA = np.array([[3.0, 3.0], [1.0, 1.0], [2.0, 5.0]])
 
 
 class StandInMaps(NamedTuple):
-    """Maps of two particles; the best one's holds the things 30, 10, 10 again, and once the step is over 20 and 30."""
+    """Maps of two particles, of which only the best one's is asked for."""
 
     best: int
     counts: np.ndarray
+    theta: np.ndarray
+    tags: np.ndarray
 
     def features(self, k):
         assert k == self.best
-        theta = np.array([[3.0, 3.5], [1.0, 1.0], [1.0, 1.5], [2.0, 5.0], [3.0, 3.0]])
         size = self.counts[k]
-        return theta[:size], np.zeros((size, 2, 2)), np.array([30, 10, 10, 20, 30])[:size]
+        return self.theta[:size], np.zeros((size, 2, 2)), self.tags[:size]
 
 
 class TrueMap(NamedTuple):
@@ -235,10 +236,13 @@ class TrueMap(NamedTuple):
 
 
 def one_step():
+    """The best map holds the things 30, 10, 10 again, and once the step is over 20 and 30."""
+    theta = np.array([[3.0, 3.5], [1.0, 1.0], [1.0, 1.5], [2.0, 5.0], [3.0, 3.0]])
+    tags = np.array([30, 10, 10, 20, 30])
     s = np.array([[1.0, 2.0, PI - 0.1], [1.4, 2.0, -PI + 0.1]])
     P = np.tile(np.diag([0.04, 0.09, 0.01]), (2, 1, 1))
     log_w = np.log([0.4, 0.6])
-    before, after = StandInMaps(1, np.array([2, 3])), StandInMaps(1, np.array([6, 5]))
+    before, after = (StandInMaps(1, np.array(counts), theta, tags) for counts in ([2, 3], [6, 5]))
     predicted = Particles(s + 9.0, P, np.log([0.9, 0.1]), np.array([5, 3]), before)  # type: ignore[arg-type]
     weighted = Particles(s, P, log_w, np.array([5, 3]), after)  # type: ignore[arg-type]
     resampled = weighted._replace(log_w=np.log([0.5, 0.5]), lineage=np.array([3, 3]))
@@ -266,6 +270,26 @@ def test_measure_by_hand():
     assert (m.correct, m.wrong, m.missed) == (2, 1, 1)
     assert m.map_error_unaligned_m == pytest.approx(math.sqrt((0.25 + 0.25) / 5))
     assert m.map_error_m < m.map_error_unaligned_m
+
+
+def test_measure_of_walls():
+    """Walls along x, as the best particle at (3, 0) sees them: one again, another part of one, one as if new."""
+    trace, frame = one_step()
+    at = [(5.0, -1.0, 30), (5.0, 1.0, 20), (5.0, 2.0, 10), (25.0, 1.0, 20), (5.1, 2.1, 10)]  # the last two by this step
+    theta = np.array([[x, y, 0.0, -1.0, 1.0, 0.0, 0.0, 1.0] for x, y, _ in at])
+    tags = np.array([tag for _, _, tag in at])
+    z = np.array([[x - 3.0, y, 0.0, -1.0, 1.0, 1e-6, 1e-6, 0, 0, 20] for x, y in [(6, -1), (25, 1), (5.1, 2.1)]])
+    n, poses = np.array([[1, 1, 1], [0, NEW, NEW]]), np.array([[-40.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    maps = [StandInMaps(1, np.array(counts), theta, tags) for counts in ([2, 3], [6, 5])]
+    trace = trace._replace(
+        predicted=trace.predicted._replace(maps=maps[0]), weighted=trace.weighted._replace(s=poses, maps=maps[1]), n=n
+    )
+    true_map = TrueMap(np.array([30, 20, 10]), np.array([[0, -1.5, 9, -1.5], [0, 0.5, 9, 0.5], [0, 1.6, 9, 1.6]]))
+    m = measure(trace, frame._replace(feature=Wall(), z=z, tags=np.array([30, 20, 10])), None, true_map)
+    assert (m.features, m.duplicates) == (5, 1.0)
+    assert (m.correct, m.wrong, m.missed) == (2, 0, 1)
+    assert m.map_error_unaligned_m == pytest.approx(math.sqrt((3 * 0.25 + 0.4**2 + 0.5**2) / 5))
+    assert m.map_error_m < 0.1
 
 
 def test_measure_without_truth():
