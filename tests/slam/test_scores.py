@@ -123,9 +123,9 @@ def wall(x: float, y: float, phi: float, a: float = -1.0, b: float = 1.0) -> Flo
     return np.array([x, y, phi, a, b, 0.0, 0.0, 1.0])
 
 
-def square_room(rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
-    """Features (count, 8) that lie on the four walls (4, 4) of a room, 8 by 6 m, and their tags."""
-    corners = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 6.0], [0.0, 6.0]])
+def crooked_room(rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
+    """Features (count, 8) that lie on the four walls (4, 4) of a room, some 8 by 6 m and askew, and their tags."""
+    corners = np.array([[0.0, 0.0], [8.0, 1.5], [7.0, 7.0], [-1.0, 5.0]])
     true = np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
     tags = rng.integers(0, 4, count)
     along = true[tags, 2:] - true[tags, :2]
@@ -149,7 +149,7 @@ def test_error_of_a_wall_by_hand() -> None:
 def test_error_of_walls_against_a_second_implementation() -> None:
     rng = np.random.default_rng(6)
     for noise in (0.01, 0.5):
-        theta, tags, true = square_room(rng, 12)
+        theta, tags, true = crooked_room(rng, 12)
         motion = np.array([3.0, -1.0, 0.4])
         theta[:, :3] = compose(motion, theta[:, :3])
         theta = np.array([draw(WALL, row, noise * rng.normal(size=2)) for row in theta])
@@ -174,11 +174,20 @@ def test_error_of_walls_against_a_second_implementation() -> None:
 @pytest.mark.parametrize("angle", [0.3, PI / 2, PI, -2.0])
 def test_a_map_of_walls_that_only_lies_elsewhere_has_no_error(angle: float) -> None:
     """Even upside down: walls know their direction."""
-    theta, tags, true = square_room(np.random.default_rng(4), 9)
+    theta, tags, true = crooked_room(np.random.default_rng(4), 9)
     theta[:, :3] = compose(np.array([30.0, 5.0, angle]), theta[:, :3])
     aligned, plain = walls.map_errors(theta, tags, np.arange(4), true)
     assert aligned < 1e-9
     assert plain > 1.0
+
+
+def test_a_corridor_that_lies_upside_down_has_no_error() -> None:
+    """Nor has one that lies as it should be: walls know their direction, and so on which side of it they are."""
+    true = np.array([[0.0, -1.0, 90.0, -1.0], [90.0, 1.0, 0.0, 1.0]])
+    for angle in (0.0, 0.5, PI):
+        theta = np.stack([wall(20.0, -1.0, 0.0, -20.0, 70.0), wall(70.0, 1.0, -PI, -20.0, 70.0)])
+        theta[:, :3] = compose(np.array([3.0, 4.0, angle]), theta[:, :3])
+        assert walls.map_errors(theta, np.array([0, 1]), np.arange(2), true)[0] < 1e-9
 
 
 def test_a_shift_along_a_straight_corridor_is_no_error() -> None:
