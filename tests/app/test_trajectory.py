@@ -166,6 +166,8 @@ def test_walls_are_drawn_where_they_are(written):
         metres = [true.theta.reshape(-1, 2, 2), ends(theta)]
         assert [len(lines) for lines in drawn] == [len(lines) for lines in metres]
         x, y = np.concatenate(drawn).reshape(-1, 2).T
+        assert 0 < x.min() < x.max() < float(root.attrib["width"])
+        assert 0 < y.min() < y.max() < float(root.attrib["height"])
         x_m, y_m = np.concatenate(metres).reshape(-1, 2).T
         scale = (x.max() - x.min()) / (x_m.max() - x_m.min())
         np.testing.assert_allclose(x - x.min(), scale * (x_m - x_m.min()), atol=0.2)
