@@ -16,6 +16,7 @@ import tyro
 from app import values
 from app.errors import UsageError
 from scenarios.types import Source
+from slam import presets
 from slam.features import Point
 from slam.limits import BELIEVED_SENSOR, DEVIATION, PARAMS, Interval
 from slam.motion import Odometry
@@ -31,19 +32,7 @@ from slam.types import (
 
 FILTERS = ("dfs", "fs2", "fs1", "ekf")
 
-PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {  # the honest R, every observation counted in full, one gate; the rest as in its baseline code
-        "temper": 1.0,
-        "inflate_r": 1.0,
-        "log_p_new": 0.0,
-        "gate_known": 1.0,
-        "gate_new": 0.0,
-        "weighting": "marginal",
-        "proposal_weight": "drawn",
-        "resampler": "stratified",
-        "resample_below": 0.75,
-    }
-}
+PRESETS = {"paper": presets.PAPER, "building": presets.BUILDING}
 
 
 def default(text: str) -> Any:
@@ -106,10 +95,9 @@ class FilterOptions:
         float | None, values.real("--resample-below", "X", PARAMS["resample_below"]), _USUAL["resample_below"]
     ] = None
     """Resample when N_eff falls below this fraction of K: 0 never, 1 always."""
-    preset: Annotated[str | None, values.choice("--preset", tuple(PRESETS), later=("building",)), default("none")] = (
-        None
-    )
-    """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate."""
+    preset: Annotated[str | None, values.choice("--preset", tuple(PRESETS)), default("none")] = None
+    """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate; building is for
+    walls, tempered and with wide gates."""
 
 
 @dataclass(frozen=True)

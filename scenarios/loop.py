@@ -32,11 +32,14 @@ class Loop:
     features: Features = "walls"
     """What is seen: walls by a laser, or landmarks, the hinge posts of the doors, through walls."""
     length: float = 30.0
-    """[m] of the longer side of the centre line; the robot starts in its middle."""
+    """[m] of the longer side of the centre line, along which the robot starts."""
     depth: float = 20.0
     """[m] of the shorter side."""
     width: float = 2.0
     """[m] of the corridor."""
+    start: float | None = None
+    """[m] from the start to the first corner; by default 6 for walls, so that the wall ahead is in sight from where the
+    robot is known to be, and half of the side for landmarks."""
     laps: float = 1.3
     """How often the robot goes round; 1.3 is once and 30 m more."""
     doors: DoorKind = "closed"
@@ -72,7 +75,10 @@ def loop(options: Loop) -> Scenario:
     walls = options.features == "walls"
     plan = ring_corridor(options.length, options.depth, options.width, doors(options))
     x, y = 0.5 * options.length, options.depth
-    lap = [(0.0, 0.0), (x, 0.0), (x, y), (-x, y), (-x, 0.0)]
+    usual = min(6.0, x) if walls else x
+    ahead = usual if options.start is None else options.start
+    check_number("start", ahead, "m", least=CORNER_RADIUS, most=options.length - CORNER_RADIUS)
+    lap = [(x - ahead, 0.0), (x, 0.0), (x, y), (-x, y), (-x, 0.0)]
     distance = options.laps * 2 * (options.length + options.depth)
     corners = (*(lap * (int(options.laps) + 1)), lap[0])
     return Scenario(
@@ -89,7 +95,7 @@ def loop(options: Loop) -> Scenario:
         noise=LASER_NOISE if walls else LANDMARK_NOISE,
         # Once round, the map of a Dual FastSLAM particle is off by more than the honest R of the sensor, and its
         # innovation covariance holds no map error.  Nine times R, three deviations for one, leaves room to know the
-        # beginning again.
+        # landmarks of the beginning again.
         defaults={} if walls else {"inflate_r": 9.0},
         options=asdict(options),
     )

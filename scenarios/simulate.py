@@ -19,6 +19,7 @@ from scenarios.world import World, check_landmarks, check_walls
 from slam.features import Point, Wall
 from slam.geometry import compose, invert, wrap_all
 from slam.motion import Ackermann, Odometry, Unicycle
+from slam.presets import BUILDING
 from slam.types import Floats, Frame, Noise
 
 NAMED = 5
@@ -40,7 +41,8 @@ class Scenario:
     """A `Sensor` sees the landmarks of the world, a `Laser` its walls."""
     noise: Noise
     defaults: dict[str, Any] = field(default_factory=dict)
-    """Parameters (`slam.types.Params` fields) that suit this world better than the general defaults."""
+    """Parameters (`slam.types.Params` fields) that suit this world better than the general defaults, or those for walls
+    (`slam.presets.BUILDING`)."""
     options: dict[str, Any] = field(default_factory=dict)
     """The options that made this scenario."""
 
@@ -78,7 +80,7 @@ def simulate(scenario: Scenario) -> Source:
         noise=scenario.noise,
         true_map=_true_map(scenario, frames),
         max_range=sensor.max_range,
-        defaults=dict(scenario.defaults),
+        defaults={**(BUILDING if isinstance(sensor, Laser) else {}), **scenario.defaults},
         warnings=(*_silent(scenario), *_in_the_way(scenario.world, route, path)),
         options=dict(scenario.options),
     )
