@@ -68,6 +68,7 @@ def _map_view(name: str, extent: Extent, filters: Sequence[Estimator], whole: bo
     grid = nice(extent.size / 12)
     roots = [f"/world/{f.key}" for f in filters]
     crowded = [] if whole else [f"{root}/{what}" for root in roots for what in ("maps", "lineages", "ellipses")]
+    crowded += [f"{root}/associations" for root in roots]
     frames = [f"- {root}/{frame}/**" for root in roots for frame in ("focus", "best")]
     return rrb.Spatial3DView(
         name=f"{name}; grid {grid:g} m",
@@ -98,6 +99,7 @@ def _close_up(estimator: Estimator, frame: str, name: str, oriented: bool) -> rr
             f"- {root}/maps",
             f"- {root}/{other}/**",
         ],
+        overrides={f"{root}/associations": rrb.EntityBehavior(visible=False)},
         background=BACKGROUND,
         line_grid=_grid(1.0),
         eye_controls=_eye((0.0, 0.0), CLOSE_HEIGHT),
