@@ -14,6 +14,9 @@ from app.recording.scene import Style
 from slam.map_store import Maps
 from slam.types import Floats, Frame, Ints
 
+OUTLINED = False
+"""Whether the best particle's ellipse has an outline."""
+
 
 def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
     """Colours and sizes of the entities of a filter that have to do with features, by the last part of their path."""
@@ -37,14 +40,14 @@ def looks_of_surroundings(crowd: float) -> dict[str, list[Any]]:
     }
 
 
-def true_map(theta: Floats, z: float) -> rr.Points3D:
+def true_map(theta: Floats, lift: float) -> rr.Points3D:
     """theta (n, 2) [m]."""
-    return scene.points(theta, z)
+    return scene.points(theta, scene.TRUTH_MAP * lift)
 
 
-def scan(frame: Frame, s: Floats, z: float) -> list[Any]:
+def scan(frame: Frame, s: Floats, lift: float) -> list[Any]:
     """What the sensor saw, as lines from the pose s (3,) of the robot."""
-    return list(scene.rays(s[:2], seen(frame, s), z))
+    return list(scene.rays(s[:2], seen(frame, s), scene.SCAN * lift))
 
 
 def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) -> dict[str, list[Any]]:

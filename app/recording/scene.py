@@ -35,8 +35,9 @@ FLAT = 1e-6
 LIFT = 1e-4
 """Between two layers, over the distance of the eye: the least that viewers, measured, reliably tell apart is 6e-5."""
 
-SCAN, TRUTH_MAP, ODOMETRY, TRUTH = range(2, 6)
-"""Heights, in lifts, of what is no filter: above the grid, beneath all of them."""
+SCAN, TRUTH_MAP, ODOMETRY, TRUTH, RETURNS = range(2, 7)
+"""Heights, in lifts, of what is no filter: above the grid, beneath all of them.  Rays lie below landmarks, and returns
+of a laser on the walls that they came from."""
 
 MAPS, LINEAGES, MAP_ELLIPSES, PATH, MAP, SEGMENTS, ASSOCIATIONS, ELLIPSES, PARTICLES = range(2, 11)
 """Layers of the filters, from below."""
@@ -138,6 +139,23 @@ def particle_ellipses(p: Particles, shown: Limits, best: int, style: Style) -> r
     """Pose covariance of the particles; nothing where they are mere samples (FastSLAM after its draw)."""
     chosen = sample(len(p.s), shown.ellipses, best)
     return ellipses(p.s[chosen], p.P[chosen, :2, :2], style.z(ELLIPSES))
+
+
+def pose_outline(s: Floats, P: Floats, style: Style) -> rr.LineStrips3D:
+    """The ellipse of one particle as a line; nothing where it has no extent.
+
+    In a corridor it is metres long and a millimetre wide: as an area alone it would not be seen.
+    """
+    half, direction = ellipse_axes(P[:2, :2])
+    if not half[0] > 0.0:
+        return lines([], style.z(ELLIPSES))
+    a, b = SIGMAS * half[0] * np.cos(ROUND), SIGMAS * half[1] * np.sin(ROUND)
+    c, q = math.cos(direction), math.sin(direction)
+    return lines([s[:2] + np.stack([c * a - q * b, q * a + c * b], axis=1)], style.z(ELLIPSES))
+
+
+ROUND = np.linspace(0.0, 2.0 * math.pi, 49)
+"""Of the vertices of an ellipse."""
 
 
 def associations(seen: Floats, features: Floats, style: Style) -> list[Any]:

@@ -23,10 +23,13 @@ from slam.geometry import compose
 from slam.map_store import Maps
 from slam.types import IGNORED, NEW, Floats, Frame, Ints
 
-OFTEN = 30.0
+OUTLINED = True
+"""Whether the best particle's ellipse has an outline."""
+
+OFTEN = 20.0
 """Observations after which a wall is drawn as bright as it gets."""
 
-DIM = 0.6
+DIM = 0.7
 """How much of a wall that was seen once is background."""
 
 NARROW = 0.005
@@ -41,10 +44,11 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
     rgb, rank = style.rgb, style.rank
     return {
         "map": [scene.strokes(None, 1.8 + 1.4 * rank)],
-        "map/ends": [scene.dots(rgb, crowd * (2.8 + 0.7 * rank))],
+        "map/ends": [scene.dots(rgb, crowd * (3.2 + 0.7 * rank))],
         "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 60))],
         "maps": [scene.strokes(colours.faded(rgb, 0.5), 0.8)],
         "segments": [scene.strokes(None, 3.6)],
+        "pose": [scene.strokes(colours.mix(rgb, (255, 255, 255), 0.6), 2.0)],
         "associations": scene.look_of_associations(),
     }
 
@@ -54,18 +58,18 @@ def looks_of_surroundings(crowd: float) -> dict[str, list[Any]]:
     del crowd  # lines do not become blots
     return {
         "truth/map": [scene.strokes(colours.faded(colours.TRUTH_ON_DARK, 0.72), 5.0)],
-        "scan": [scene.dots(colours.faded(colours.WARNING, 0.55), 1.2)],
+        "scan": [scene.dots(colours.faded(colours.WARNING, 0.4), 1.4)],
     }
 
 
-def true_map(theta: Floats, z: float) -> rr.LineStrips3D:
+def true_map(theta: Floats, lift: float) -> rr.LineStrips3D:
     """theta (n, 4): x0 y0 x1 y1 [m]."""
-    return rr.LineStrips3D.from_fields(strips=arrow.segments(theta.reshape(-1, 2, 2), z))
+    return rr.LineStrips3D.from_fields(strips=arrow.segments(theta.reshape(-1, 2, 2), scene.TRUTH_MAP * lift))
 
 
-def scan(frame: Frame, s: Floats, z: float) -> list[Any]:
+def scan(frame: Frame, s: Floats, lift: float) -> list[Any]:
     """Where the laser met something, seen from the pose s (3,) of the robot."""
-    return [scene.points(np.zeros((0, 2)) if frame.scan is None else returns(frame.scan, s), z)]
+    return [scene.points(np.zeros((0, 2)) if frame.scan is None else returns(frame.scan, s), scene.RETURNS * lift)]
 
 
 def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) -> dict[str, list[Any]]:

@@ -138,7 +138,7 @@ class Writer:
         }.items():
             log(entity, rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN))
         if info.source.true_map is not None:
-            log("world/truth/map", self._features.true_map(info.source.true_map.theta, scene.TRUTH_MAP * self._lift))
+            log("world/truth/map", self._features.true_map(info.source.true_map.theta, self._lift))
         for entity, look in (scene.looks_of_surroundings() | self._features.looks_of_surroundings(crowd)).items():
             log(f"world/{entity}", *look)
         for f in info.filters:
@@ -174,7 +174,7 @@ class Writer:
         if redraw:
             path = thinned(np.array(self._odometry), self._limits.vertices)
             log("world/odometry/path", scene.lines([path], scene.ODOMETRY * z))
-        log("world/scan", *self._features.scan(step.frame, observer(step), scene.SCAN * z))
+        log("world/scan", *self._features.scan(step.frame, observer(step), z))
 
     def _write_focus(self, key: str, update: FilterUpdate, truth: Floats | None) -> None:
         """Frames of the close-ups: one on particles and truth, however far apart, one on the best particle alone."""
@@ -201,6 +201,8 @@ class Writer:
         style, log = self._styles[key], self._stream.log
         log(f"world/{key}/particles", *scene.particles(particles, self._limits, best, self._unit[key], style))
         log(f"world/{key}/ellipses", scene.particle_ellipses(particles, self._limits, best, style))
+        if self._features.OUTLINED:
+            log(f"world/{key}/pose", scene.pose_outline(particles.s[best], particles.P[best], style))
 
     def _write_observations(self, key: str, update: FilterUpdate, frame: Frame) -> None:
         """What the best particle sees, and what it takes it for."""
