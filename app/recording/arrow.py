@@ -18,6 +18,7 @@ from slam.types import Floats, Ints
 _STRIPS2 = rr.components.LineStrip2DBatch([]).as_arrow_array().type
 _STRIPS3 = rr.components.LineStrip3DBatch([]).as_arrow_array().type
 _VECTORS = rr.components.Position3DBatch([]).as_arrow_array().type
+_TENSOR = rr.components.TensorDataBatch(np.zeros(1, np.float32)).as_arrow_array()
 _TRIANGLES = rr.components.TriangleIndicesBatch([]).as_arrow_array().type
 
 
@@ -49,6 +50,16 @@ def colours(rgb: Floats) -> pa.Array:
     """(n, 3) in 0..255 as packed colours."""
     red, green, blue = np.asarray(rgb).astype(np.uint32).reshape(-1, 3).T
     return pa.array((red << 24) | (green << 16) | (blue << 8) | np.uint32(255))
+
+
+def bars(heights: Floats) -> pa.Array:
+    """(n,) heights of bars in single precision: a tensor, which Rerun stores as a union of all kinds of numbers."""
+    shape, names, union = _TENSOR.flatten()
+    children = [union.field(i) for i in range(union.type.num_fields)]
+    single = union.type_codes[0].as_py()
+    children[single] = pa.array([heights.astype(np.float32)], children[single].type)
+    numbers = pa.Array.from_buffers(union.type, 1, union.buffers()[:3], children=children)
+    return pa.StructArray.from_arrays([pa.array([[len(heights)]], shape.type), names, numbers], fields=[*_TENSOR.type])
 
 
 def _lifted(xy: Floats, z: float | Floats) -> NDArray[np.float32]:

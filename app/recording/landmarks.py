@@ -12,10 +12,7 @@ from app.recording.ground import seen
 from app.recording.limits import Limits
 from app.recording.scene import Style
 from slam.map_store import Maps
-from slam.types import Floats, Frame, Ints
-
-OUTLINED = False
-"""Whether the best particle's ellipse has an outline."""
+from slam.types import Floats, Frame, Ints, Particles
 
 
 def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
@@ -48,6 +45,12 @@ def true_map(theta: Floats, lift: float) -> rr.Points3D:
 def scan(frame: Frame, s: Floats, lift: float) -> list[Any]:
     """What the sensor saw, as lines from the pose s (3,) of the robot."""
     return list(scene.rays(s[:2], seen(frame, s), scene.SCAN * lift))
+
+
+def beside_particles(p: Particles, best: int, style: Style) -> list[Any]:
+    """Nothing: an ellipse is wide enough to be seen as an area."""
+    del p, best, style
+    return []
 
 
 def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) -> dict[str, list[Any]]:

@@ -69,6 +69,7 @@ def looks(style: Style) -> dict[str, list[Any]]:
         "particles": [
             rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.0 + 0.8 * rank)),
             rr.Arrows3D.from_fields(colors=colours.faded(rgb, 0.35), radii=rr.Radius.ui_points(0.6)),
+            strokes(colours.mix(rgb, (255, 255, 255), 0.6), 2.0),  # of an outline
         ],
         "ellipses": [rr.Ellipsoids3D.from_fields(colors=(*rgb, 14), fill_mode="solid")],
         "path": [strokes(rgb, 1.4 + 0.9 * rank)],
@@ -139,23 +140,6 @@ def particle_ellipses(p: Particles, shown: Limits, best: int, style: Style) -> r
     """Pose covariance of the particles; nothing where they are mere samples (FastSLAM after its draw)."""
     chosen = sample(len(p.s), shown.ellipses, best)
     return ellipses(p.s[chosen], p.P[chosen, :2, :2], style.z(ELLIPSES))
-
-
-def pose_outline(s: Floats, P: Floats, style: Style) -> rr.LineStrips3D:
-    """The ellipse of one particle as a line; nothing where it has no extent.
-
-    In a corridor it is metres long and a millimetre wide: as an area alone it would not be seen.
-    """
-    half, direction = ellipse_axes(P[:2, :2])
-    if not half[0] > 0.0:
-        return lines([], style.z(ELLIPSES))
-    a, b = SIGMAS * half[0] * np.cos(ROUND), SIGMAS * half[1] * np.sin(ROUND)
-    c, q = math.cos(direction), math.sin(direction)
-    return lines([s[:2] + np.stack([c * a - q * b, q * a + c * b], axis=1)], style.z(ELLIPSES))
-
-
-ROUND = np.linspace(0.0, 2.0 * math.pi, 49)
-"""Of the vertices of an ellipse."""
 
 
 def associations(seen: Floats, features: Floats, style: Style) -> list[Any]:

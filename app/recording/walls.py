@@ -7,6 +7,7 @@ true pose, and the pieces of wall that were made of them where the best particle
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,9 @@ from app.recording.ground import returns
 from app.recording.limits import Limits, sample
 from app.recording.scene import Style
 from slam.features.wall import ends
-from slam.geometry import compose
+from slam.geometry import compose, ellipse_axes
 from slam.map_store import Maps
-from slam.types import IGNORED, NEW, Floats, Frame, Ints
-
-OUTLINED = True
-"""Whether the best particle's ellipse has an outline."""
+from slam.types import IGNORED, NEW, Floats, Frame, Ints, Particles
 
 OFTEN = 20.0
 """Observations after which a wall is drawn as bright as it gets."""
@@ -32,8 +30,8 @@ OFTEN = 20.0
 DIM = 0.7
 """How much of a wall that was seen once is background."""
 
-NARROW = 0.005
-"""[m] up to which the band of a wall is left out: it would be hidden by the wall."""
+NARROW = 0.02
+"""[m] up to which the band of a wall is left out: it would be hidden by the line of the wall."""
 
 SHARED = 4
 """Particles have most walls in common: of so many times as many as may be drawn, that much is left to draw."""
@@ -48,7 +46,6 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
         "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 60))],
         "maps": [scene.strokes(colours.faded(rgb, 0.5), 0.8)],
         "segments": [scene.strokes(None, 3.6)],
-        "pose": [scene.strokes(colours.mix(rgb, (255, 255, 255), 0.6), 2.0)],
         "associations": scene.look_of_associations(),
     }
 
@@ -92,6 +89,22 @@ def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) 
     }
 
 
+def beside_particles(p: Particles, best: int, style: Style) -> list[Any]:
+    """The 2-sigma ellipse of the best particle as a line, that is no line where it has no extent.
+
+    In a corridor it is metres long and a millimetre wide: the area alone would not be seen.
+    """
+    half, direction = ellipse_axes(p.P[best, :2, :2])
+    c, q = math.cos(direction), math.sin(direction)
+    rows = p.s[best, :2] + (scene.SIGMAS * half * ROUND) @ np.array([[c, q], [-q, c]])
+    strips = arrow.strips(rows, [len(rows)], style.z(scene.ELLIPSES))
+    return [rr.LineStrips3D.from_fields(strips=strips[: int(half[0] > 0.0)])]
+
+
+ROUND = np.stack([f(np.linspace(0.0, 2.0 * math.pi, 49)) for f in (np.cos, np.sin)], axis=1)
+"""(49, 2) of a circle, closed."""
+
+
 def best_map(theta: Floats, Sigma: Floats, style: Style) -> dict[str, list[Any]]:
     """Walls theta (n, 8) of one map, with the covariance (n, 2, 2) of their lateral offset and angle."""
     places = ends(theta)
@@ -133,6 +146,7 @@ TRIANGLES = np.array([[0, 3, 1], [1, 3, 4], [1, 4, 2], [2, 4, 5]])
 def all_maps(maps: Maps, shown: Limits, style: Style) -> rr.LineStrips3D:
     """The walls of all particles; what particles have in common is drawn once."""
     _, theta = maps.everything(SHARED * shown.hypotheses)
-    places = np.unique(ends(theta).reshape(-1, 4), axis=0)
-    places = places[sample(len(places), shown.hypotheses)].reshape(-1, 2, 2)
+    rows = ends(theta).reshape(len(theta), 4).view("V32").ravel().tolist()  # bytes, of which a dictionary is quick
+    places = np.frombuffer(b"".join(dict.fromkeys(rows)), float).reshape(-1, 2, 2)
+    places = places[sample(len(places), shown.hypotheses)]
     return rr.LineStrips3D.from_fields(strips=arrow.segments(places, style.z(scene.MAPS)))

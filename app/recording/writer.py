@@ -199,10 +199,9 @@ class Writer:
 
     def _write_particles(self, key: str, particles: Particles, best: int) -> None:
         style, log = self._styles[key], self._stream.log
-        log(f"world/{key}/particles", *scene.particles(particles, self._limits, best, self._unit[key], style))
+        drawn = scene.particles(particles, self._limits, best, self._unit[key], style)
+        log(f"world/{key}/particles", *drawn, *self._features.beside_particles(particles, best, style))
         log(f"world/{key}/ellipses", scene.particle_ellipses(particles, self._limits, best, style))
-        if self._features.OUTLINED:
-            log(f"world/{key}/pose", scene.pose_outline(particles.s[best], particles.P[best], style))
 
     def _write_observations(self, key: str, update: FilterUpdate, frame: Frame) -> None:
         """What the best particle sees, and what it takes it for."""
