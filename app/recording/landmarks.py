@@ -14,6 +14,9 @@ from app.recording.scene import Style
 from slam.map_store import Maps
 from slam.types import Floats, Frame, Ints, Particles
 
+LEGEND = ""
+"""What the title of a map adds."""
+
 
 def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
     """Colours and sizes of the entities of a filter that have to do with features, by the last part of their path."""
@@ -49,7 +52,6 @@ def scan(frame: Frame, s: Floats, lift: float) -> list[Any]:
 
 def beside_particles(p: Particles, best: int, style: Style) -> list[Any]:
     """Nothing: an ellipse is wide enough to be seen as an area."""
-    del p, best, style
     return []
 
 

@@ -24,6 +24,9 @@ from slam.geometry import compose, ellipse_axes
 from slam.map_store import Maps
 from slam.types import IGNORED, NEW, Floats, Frame, Ints, Particles
 
+LEGEND = "; pieces of wall: matched yellow, new violet, rejected red"
+"""What the title of a map adds."""
+
 OFTEN = 20.0
 """Observations after which a wall is drawn as bright as it gets."""
 
@@ -44,17 +47,16 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
         "map": [scene.strokes(None, 1.8 + 1.4 * rank)],
         "map/ends": [scene.dots(rgb, crowd * (3.2 + 0.7 * rank))],
         "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 60))],
-        "maps": [scene.strokes(colours.faded(rgb, 0.5), 0.8)],
+        "maps": [scene.strokes(colours.faded(rgb, 0.58), 0.8)],
         "segments": [scene.strokes(None, 3.6)],
         "associations": scene.look_of_associations(),
     }
 
 
 def looks_of_surroundings(crowd: float) -> dict[str, list[Any]]:
-    """The same of what belongs to no filter, by path below /world."""
-    del crowd  # lines do not become blots
+    """The same of what belongs to no filter, by path below /world; lines do not become blots, however many."""
     return {
-        "truth/map": [scene.strokes(colours.faded(colours.TRUTH_ON_DARK, 0.72), 5.0)],
+        "truth/map": [scene.strokes(colours.faded(colours.TRUTH_ON_DARK, 0.74), 4.0)],
         "scan": [scene.dots(colours.faded(colours.WARNING, 0.4), 1.4)],
     }
 

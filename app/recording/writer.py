@@ -73,7 +73,8 @@ class Writer:
         bands = charts.bands(len(self._many), info.steps)
         self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
         title = f"{info.source.name}, seed {info.seed}"
-        self._stream = Stream(path, layout(info.filters, extent, known_of(info.source, info.steps)), title)
+        views = layout(info.filters, extent, known_of(info.source, info.steps), self._features.LEGEND)
+        self._stream = Stream(path, views, title)
         self._write_static()
         self._stream.begun()
 
