@@ -29,7 +29,7 @@ NEW: RGB = (145, 115, 255)
 REJECTED: RGB = (238, 60, 60)
 """What became of a piece of wall that was seen.  Told apart by all, and from the filters."""
 
-ASSOCIATION: RGB = (200, 200, 200)
+ASSOCIATION: RGB = (255, 255, 255)
 
 BACKGROUND: RGB = (13, 16, 17)
 """Of dark views; what fades, fades into this."""

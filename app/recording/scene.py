@@ -90,7 +90,7 @@ def looks_of_surroundings() -> dict[str, list[Any]]:
 def look_of_associations() -> list[Any]:
     """Thin enough not to hide what they join."""
     rgb = colours.ASSOCIATION
-    return [strokes(rgb, 1.0), dots(rgb, 2.0)]
+    return [strokes(rgb, 1.4), dots(rgb, 3.0)]
 
 
 def points(xy: Floats, z: float) -> rr.Points3D:

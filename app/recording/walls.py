@@ -24,7 +24,7 @@ from slam.geometry import compose, ellipse_axes
 from slam.map_store import Maps
 from slam.types import IGNORED, NEW, Floats, Frame, Ints, Particles
 
-LEGEND = "; pieces of wall: matched yellow, new violet, rejected red"
+LEGEND = "; seen: matched yellow, new violet, rejected red"
 """What the title of a map adds."""
 
 OFTEN = 20.0
@@ -46,7 +46,7 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
     return {
         "map": [scene.strokes(None, 1.8 + 1.4 * rank)],
         "map/ends": [scene.dots(rgb, crowd * (3.2 + 0.7 * rank))],
-        "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 60))],
+        "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 45))],
         "maps": [scene.strokes(colours.faded(rgb, 0.58), 0.8)],
         "segments": [scene.strokes(None, 3.6)],
         "associations": scene.look_of_associations(),
