@@ -419,15 +419,14 @@ def test_pieces_and_scan_are_seen(corridor: Viewer):
     corridor.bring_to_front(view)
     picture = pixels(corridor.screenshot(view))
     assert close(picture, MATCHED).sum() > 50
-    assert close(picture, colours.faded(colours.WARNING, 0.4), 25).sum() > 20
+    assert close(picture, colours.faded(colours.WARNING, 0.4)).sum() > 20  # on top of the true walls
 
 
 def test_associations_can_be_switched_on(corridor: Viewer):
     corridor.seek("step", FAR)
-    view = next(v for v in corridor.views() if v.origin == "/world/dfs/best")
+    view = next(v for v in corridor.views() if v.name.startswith("Map:"))
     corridor.bring_to_front(view)
     before = pixels(corridor.screenshot(view))
     corridor.switch_on("/world/dfs/associations")
     after = pixels(corridor.screenshot(view))
-    new = close(after, colours.ASSOCIATION) & ~close(before, colours.ASSOCIATION)
-    assert new.sum() > 10
+    assert (close(after, colours.ASSOCIATION, 90) & ~close(before, colours.ASSOCIATION, 90)).sum() > 30
