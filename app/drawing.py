@@ -1,16 +1,18 @@
-"""A map as an SVG picture: paths, landmarks with their 2-sigma ellipses, a scale bar, a legend.  y points up."""
+"""A map as an SVG picture: paths, landmarks or walls with their 2 sigma, a scale bar, a legend.  y points up."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from slam.features import Wall
+from slam.features.wall import ends
 from slam.geometry import ellipse_axes
-from slam.types import Floats
+from slam.types import Bools, Floats
 
 WIDTH = 900
 LARGEST_HEIGHT = 900
@@ -19,6 +21,21 @@ TRUTH_OPACITY = 0.35
 HEADER, FOOTER = 34, 46
 INK, PAPER = "#33373d", "#ffffff"
 FONT = "font-family='Helvetica, Arial, sans-serif'"
+ENDS = "dot: an end of a wall that was seen; without it, the wall may go on"
+
+
+class Walls(NamedTuple):
+    """Lines on a map."""
+
+    ends: Floats
+    """(n, 2, 2) [m]"""
+    seen: Bools
+    """(n, 2) which of the ends are marked as such."""
+    deviation: Floats
+    """(n, 2) [m] of each end, across the wall."""
+
+
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2), np.bool_), np.zeros((0, 2)))
 
 
 class Layer(NamedTuple):
@@ -28,15 +45,45 @@ class Layer(NamedTuple):
     colour: tuple[int, int, int]
     path: Floats
     """(T, 2 or 3) [m]; a row of NaN interrupts it."""
-    landmarks: Floats
+    landmarks: Floats = np.zeros((0, 2))
     """(n, 2) [m]"""
-    Sigma: Floats
+    Sigma: Floats = np.zeros((0, 2, 2))
     """(n, 2, 2) [m^2]; (0, 2, 2) where there is none."""
+    walls: Walls = NO_WALLS
+
+    @property
+    def has_walls(self) -> bool:
+        """Or else landmarks."""
+        return len(self.walls.ends) > 0
+
+    def points(self) -> Floats:
+        """(N, 2) [m] all that the picture must hold."""
+        return np.concatenate([self.path[:, :2], self.landmarks, self.walls.ends.reshape(-1, 2)])
+
+
+def truth_layer(title: str, colour: tuple[int, int, int], path: Floats, theta: Floats) -> Layer:
+    """True landmarks (n, 2) or walls (n, 4) x0 y0 x1 y1 [m]."""
+    if theta.shape[1] == 2:
+        return Layer(title, colour, path, theta)
+    n = len(theta)
+    return Layer(title, colour, path, walls=Walls(theta.reshape(n, 2, 2), np.zeros((n, 2), np.bool_), np.zeros((n, 2))))
+
+
+def map_layer(
+    title: str, colour: tuple[int, int, int], path: Floats, feature: Any, theta: Floats, Sigma: Floats
+) -> Layer:
+    """Features theta (n, D) of a kind, with covariances Sigma (n, 2, 2) of their uncertain coordinates."""
+    if not isinstance(feature, Wall):
+        return Layer(title, colour, path, theta, Sigma)
+    lever = np.stack([np.ones((len(theta), 2)), theta[:, 3:5]], axis=-1)
+    variance = np.einsum("nei,nij,nej->ne", lever, Sigma, lever)
+    walls = Walls(ends(theta), theta[:, 5:7] > 0.0, np.sqrt(np.maximum(variance, 0.0)))
+    return Layer(title, colour, path, walls=walls)
 
 
 def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
-    """The picture of all layers on top of the truth, which is drawn as a broad pale path and crosses."""
-    points = np.concatenate([p[:, :2] for layer in (truth, *layers) for p in (layer.path, layer.landmarks)])
+    """The picture of all layers on top of the truth, which is drawn broad and pale, its landmarks as crosses."""
+    points = np.concatenate([layer.points() for layer in (truth, *layers)])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = np.maximum(high - low, 0.02 * max(float((high - low).max()), 1.0))
     scale = min((WIDTH - 2 * MARGIN) / extent[0], (LARGEST_HEIGHT - 2 * MARGIN) / extent[1])
@@ -49,17 +96,24 @@ def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
         y = HEADER + MARGIN + scale * (high[1] - p[..., 1])
         return np.stack([x, y], axis=-1)
 
+    foot = height - 0.5 * FOOTER
     body = [f"<text x='{MARGIN}' y='26' {FONT} font-size='15' fill='{INK}'>{escape(title)}</text>"]
     if len(truth.path):
-        body.append(_route(place(truth.path), truth.colour, width=5, opacity=TRUTH_OPACITY))
+        body.append(_route(place(truth.path), truth.colour, width=2.5 if truth.has_walls else 5, opacity=TRUTH_OPACITY))
     body += _crosses(place(truth.landmarks), truth.colour)
+    body += _lines(place(truth.walls.ends), truth.colour, width=5, opacity=TRUTH_OPACITY)
     for layer in layers:
-        body.append(_route(place(layer.path), layer.colour, width=1.6, opacity=0.95))
+        body.append(_route(place(layer.path), layer.colour, width=1.0 if layer.has_walls else 1.6, opacity=0.95))
         body += _ellipses(layer, place, scale)
         body += _dots(place(layer.landmarks), layer.colour)
-    shown = [truth, *layers] if len(truth.path) or len(truth.landmarks) else layers
-    body += _legend(shown, truth.title, height - 0.5 * FOOTER)
-    body += _scale_bar(scale, height - 0.5 * FOOTER)
+        body += _bands(layer, place, scale)
+        body += _lines(place(layer.walls.ends), layer.colour, width=2, opacity=0.95)
+        body += _dots(place(layer.walls.ends)[layer.walls.seen], layer.colour)
+    shown = [truth, *layers] if len(truth.points()) else layers
+    body += _legend(shown, truth.title, foot)
+    if any(layer.has_walls for layer in layers):
+        body.append(f"<text x='{MARGIN}' y='{foot + 19:.0f}' {FONT} font-size='11' fill='{INK}'>{ENDS}</text>")
+    body += _scale_bar(scale, foot)
     size = f"width='{WIDTH}' height='{height:.0f}' viewBox='0 0 {WIDTH} {height:.0f}'"
     background = f"<rect width='100%' height='100%' fill='{PAPER}'/>"
     return "\n".join([f"<svg xmlns='http://www.w3.org/2000/svg' {size}>", background, *body, "</svg>"]) + "\n"
@@ -79,6 +133,30 @@ def _route(points: Floats, colour: tuple[int, int, int], width: float, opacity: 
     )
 
 
+def _lines(walls: Floats, colour: tuple[int, int, int], width: float, opacity: float) -> Iterator[str]:
+    """Walls (n, 2, 2) in one element, so that they do not darken where they overlap."""
+    if len(walls):
+        d = "".join(f"M{x0:.1f},{y0:.1f}L{x1:.1f},{y1:.1f}" for (x0, y0), (x1, y1) in walls)
+        yield (
+            f"<path class='walls' d='{d}' fill='none' stroke='{_hex(colour)}' stroke-width='{width}' "
+            f"stroke-opacity='{opacity}'/>"
+        )
+
+
+def _bands(layer: Layer, place: Callable[[Floats], Floats], scale: float) -> Iterator[str]:
+    """2 sigma to both sides of each wall; bands that are hardly wider than the wall are left out."""
+    along = layer.walls.ends[:, 1] - layer.walls.ends[:, 0]
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    aside = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
+    half = 2.0 * layer.walls.deviation
+    wide = scale * half.max(axis=1, initial=0.0) > 1.5
+    for a_b, half_widths, normal in zip(layer.walls.ends[wide], half[wide], aside[wide], strict=True):
+        sides = half_widths[:, None] * normal
+        corners = place(np.concatenate([a_b + sides, (a_b - sides)[::-1]]))
+        outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        yield f"<polygon points='{outline}' fill='{_hex(layer.colour)}' fill-opacity='0.15'/>"
+
+
 def _crosses(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
     for x, y in points:
         yield (
@@ -92,12 +170,12 @@ def _dots(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
         yield f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.6' fill='{_hex(colour)}' fill-opacity='0.85'/>"
 
 
-def _ellipses(layer: Layer, place: object, scale: float) -> Iterator[str]:
+def _ellipses(layer: Layer, place: Callable[[Floats], Floats], scale: float) -> Iterator[str]:
     """2 sigma; ellipses too small to be seen are left out."""
     if not len(layer.Sigma):
         return
     half, direction = ellipse_axes(layer.Sigma)
-    for (x, y), (a, b), angle in zip(place(layer.landmarks), 2 * scale * half, direction, strict=True):  # type: ignore[operator]
+    for (x, y), (a, b), angle in zip(place(layer.landmarks), 2 * scale * half, direction, strict=True):
         if a > 2.6:
             yield (
                 f"<ellipse cx='{x:.1f}' cy='{y:.1f}' rx='{a:.1f}' ry='{max(b, 0.5):.1f}' "

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.loops import Distances, Loops
 from app.types import FilterUpdate, SessionStep
 from slam.types import Floats
 
@@ -40,8 +41,7 @@ class Watch:
         """The last step at which something was so."""
         self._travelled = 0.0
         self._odometry: Floats | None = None
-        self._matched: dict[str, dict[int, float]] = {}
-        """For each filter and feature of its best map, how far the robot had travelled when it was last matched."""
+        self._loops = {key: Loops() for key in titles}
 
     def step(self, step: SessionStep) -> list[Event]:
         """The events of this step, in the order of cause and effect."""
@@ -62,8 +62,9 @@ class Watch:
                 yield "WARN", f"reports: {sentence}"
         if self._begins(key, "association lost", bool(measures.wrong or measures.missed), step.index):
             yield "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
-        gaps = self._gaps(key, update)
-        if self._begins(key, "loop closed", bool(gaps), step.index):
+        gaps = self._loops[key].step(trace, measures.best, self._travelled)
+        gaps = gaps[gaps >= LOOP]
+        if self._begins(key, "loop closed", len(gaps) > 0, step.index):
             yield "INFO", _loop_closed(gaps)
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
             yield "WARN", "has an infinite NEES: its particles agree on one position, and the truth is another"
@@ -79,16 +80,6 @@ class Watch:
             yield "DEBUG", _resampled(update, step.params.resample_below)
         if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
             yield "WARN", f"has one founder left: all {K} particles share one past, up to {_age(update)}"
-
-    def _gaps(self, key: str, update: FilterUpdate) -> list[float]:
-        """[m] of travel since each matched feature of the best map was matched before, where that closes a loop."""
-        matched = self._matched.setdefault(key, {})
-        n = update.trace.n[update.measures.best]
-        features = [int(feature) for feature in n if feature >= 0]
-        gaps = [self._travelled - matched.get(feature, self._travelled) for feature in features]
-        created = range(update.trace.predicted.maps.counts[update.measures.best], update.measures.features)
-        matched.update(dict.fromkeys([*features, *created], self._travelled))
-        return [gap for gap in gaps if gap >= LOOP]
 
     def _begins(self, key: str, what: str, present: bool, index: int) -> bool:
         """Whether something is there that was not there in the last steps."""
@@ -108,9 +99,9 @@ def _association_lost(correct: int, wrong: int, missed: int) -> str:
     return f"lost association: of {correct + wrong + missed} things seen that its best map knows, {' and '.join(parts)}"
 
 
-def _loop_closed(gaps: list[float]) -> str:
+def _loop_closed(gaps: Distances) -> str:
     what = "a feature" if len(gaps) == 1 else f"{len(gaps)} features"
-    return f"closed a loop: {what} of its best map matched again after {max(gaps):.0f} m"
+    return f"closed a loop: {what} of its best map matched again after {gaps.max():.0f} m"
 
 
 def _resampled(update: FilterUpdate, threshold: float) -> str:

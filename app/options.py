@@ -91,7 +91,7 @@ class FilterOptions:
     floor_lateral: Annotated[
         float | None, values.real("--floor-lateral", "M", PARAMS["floor_lateral"]), _USUAL["floor_lateral"]
     ] = None
-    """Walls: deviation from the straight line they are taken for, added to R."""
+    """Walls: deviation that a known wall is allowed, added to R."""
     floor_angle: Annotated[
         float | None, values.real("--floor-angle", "DEG", PARAMS["floor_angle"]), _USUAL["floor_angle"]
     ] = None

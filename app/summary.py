@@ -19,6 +19,10 @@
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
+- `duplicates`: features that show again what an earlier one shows: the same landmark, or half of their length or more
+  of the same wall.
+- `association`: observations whose truth is known, by what the best particle made of them: `missed` are those that it
+  did not pair with what its map holds, `wrong` those that it paired with something else.
 - `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
@@ -42,8 +46,8 @@ from app.files import write_whole
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
+from slam.alignment import align_rigid
 from slam.geometry import wrap_all
-from slam.metrics import align_rigid
 from slam.types import UNKNOWN_TAG, Floats
 
 SCHEMA = 1

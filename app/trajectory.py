@@ -3,7 +3,7 @@
     <filter>.tum          the path of the best particle's lineage, as it is known at the end
     <filter>-online.tum   the estimate (mean of the mixture) as it was at each step
     truth.tum, odometry.tum
-    <filter>.geojson      landmarks and path of the best particle
+    <filter>.geojson      map and path of the best particle
     <filter>.svg          a picture of the same; map.svg: all filters in one
 
 A `.tum` line is `time x y z qx qy qz qw`, one for every observation, with the source's own stamp.  Metres.
@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 from app.colours import TRUTH, of_filter
-from app.drawing import Layer, draw_map
+from app.drawing import Layer, draw_map, map_layer, truth_layer
 from app.files import write_whole
 from app.types import SessionInfo, SessionStep, best_descendant
+from slam.features import Wall
+from slam.features.wall import ends
 from slam.types import UNKNOWN_TAG, Floats, Ints
 
 
@@ -72,15 +74,15 @@ class Trajectory:
             theta, Sigma, tags = update.trace.resampled.maps.features(k)
             self._write(f"{key}.tum", tum(self._times, path))
             self._write(f"{key}-online.tum", tum(self._times, np.array(self._online[key])))
-            self._write(f"{key}.geojson", geojson(estimator.title, path, theta, Sigma, tags))
-            layers[key] = Layer(estimator.title, of_filter(key), path, theta, Sigma)
+            feature = self._info.source.feature
+            self._write(f"{key}.geojson", geojson(estimator.title, path, feature, theta, Sigma, tags))
+            layers[key] = map_layer(estimator.title, of_filter(key), path, feature, theta, Sigma)
             self._write(f"{key}.svg", self._picture([layers[key]], truth))
         self._write("map.svg", self._picture(list(layers.values()), truth))
 
     def _picture(self, layers: list[Layer], truth: Floats) -> str:
         true_map = self._info.source.true_map
-        landmarks = np.zeros((0, 2)) if true_map is None else true_map.theta
-        backdrop = Layer("truth", TRUTH, truth, landmarks, np.zeros((0, 2, 2)))
+        backdrop = truth_layer("truth", TRUTH, truth, np.zeros((0, 2)) if true_map is None else true_map.theta)
         return draw_map(f"{self._info.source.title}, seed {self._info.seed}", backdrop, layers)
 
     def _write(self, name: str, text: str) -> None:
@@ -105,41 +107,64 @@ def tum(times: Iterable[float], poses: Floats) -> str:
     return "".join(lines)
 
 
-def geojson(title: str, path: Floats, theta: Floats, Sigma: Floats, tags: Ints) -> str:
-    """A FeatureCollection: the path (T, 3) and the landmarks theta (n, 2), with their deviations from Sigma (n, 2, 2).
+def geojson(title: str, path: Floats, feature: Any, theta: Floats, Sigma: Floats, tags: Ints) -> str:
+    """A FeatureCollection: the path (T, 3), and the features theta (n, D) of a kind with the deviations of Sigma.
 
     Coordinates are metres in the world's own frame: these maps lie nowhere on the globe.
     """
-    features: list[dict[str, Any]] = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "LineString", "coordinates": _rounded(path[:, :2])},
-            "properties": {"kind": "path", "filter": title},
-        }
-    ]
-    for index, (place, covariance, tag) in enumerate(zip(theta, Sigma, tags, strict=True)):
-        x_deviation, y_deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        features.append(
-            {
-                "type": "Feature",
-                "geometry": {"type": "Point", "coordinates": _rounded(place[:2])},
-                "properties": {
-                    "kind": "landmark",
-                    "index": index,
-                    "tag": None if tag == UNKNOWN_TAG else int(tag),
-                    "x_deviation_m": round(float(x_deviation), 9),
-                    "y_deviation_m": round(float(y_deviation), 9),
-                },
-            }
-        )
+    deviations = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
+    mapped = _walls(title, theta, deviations) if isinstance(feature, Wall) else _landmarks(theta, deviations)
+    for item, tag in zip(mapped, tags, strict=True):
+        item["properties"]["tag"] = None if tag == UNKNOWN_TAG else int(tag)
     collection = {
         "type": "FeatureCollection",
         "name": title,
         "units": "metres in the frame of the world, x forward at the start unless the source says otherwise",
-        "features": features,
+        "features": [_item("LineString", path[:, :2], kind="path", filter=title), *mapped],
     }
     return json.dumps(collection, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _rounded(values: Floats) -> Any:
-    return np.round(values, 6).tolist()
+def _landmarks(theta: Floats, deviations: Floats) -> list[dict[str, Any]]:
+    """A point for each (n, 2)."""
+    return [
+        _item(
+            "Point",
+            place,
+            kind="landmark",
+            index=index,
+            tag=None,
+            x_deviation_m=round(float(x_deviation), 9),
+            y_deviation_m=round(float(y_deviation), 9),
+        )
+        for index, (place, (x_deviation, y_deviation)) in enumerate(zip(theta, deviations, strict=True))
+    ]
+
+
+def _walls(title: str, theta: Floats, deviations: Floats) -> list[dict[str, Any]]:
+    """A line for each (n, 8), with whoever sees it on the left; where no end was seen, the wall may go on."""
+    return [
+        _item(
+            "LineString",
+            a_b,
+            kind="wall",
+            filter=title,
+            index=index,
+            tag=None,
+            observations=int(row[7]),
+            start_seen=bool(row[5]),
+            end_seen=bool(row[6]),
+            lateral_deviation_m=round(float(lateral), 9),
+            angle_deviation_rad=round(float(angle), 9),
+        )
+        for index, (row, a_b, (lateral, angle)) in enumerate(zip(theta, ends(theta), deviations, strict=True))
+    ]
+
+
+def _item(geometry: str, places: Floats, **properties: Any) -> dict[str, Any]:
+    coordinates = np.round(places, 6).tolist()
+    return {
+        "type": "Feature",
+        "geometry": {"type": geometry, "coordinates": coordinates},
+        "properties": properties,
+    }

@@ -24,6 +24,7 @@ from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
 from scenarios.world_file import world_text
 from slam.motion import Ackermann, Odometry
+from slam.types import Scan
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,9 @@ def _print_one(console: Console, name: str, source: Source) -> None:
         f"{row.visible:.1f} {row.what} in view",
         soft_wrap=True,
     )
+    scan = source.steps[0].frame.scan
+    if scan is not None:
+        console.print(f"laser: {_laser(scan)}", soft_wrap=True)
     console.print(f"noise: {_noise(source)}", soft_wrap=True)
     for warning in source.warnings:
         console.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
@@ -130,6 +134,13 @@ def _print_one(console: Console, name: str, source: Source) -> None:
             table.add_row(f"{option.option} {option.metavar}", escape(text))
         console.print("\noptions")
         print_whole(console, table)
+
+
+def _laser(scan: Scan) -> str:
+    beams = len(scan.bearings)
+    view = math.degrees(scan.bearings[-1] - scan.bearings[0])
+    apart = f", {view / (beams - 1):.3g}° apart" if beams > 1 else ""
+    return f"{beams} beam{'s' if beams > 1 else ''}{apart}, to {scan.max_range:.3g} m"
 
 
 def _noise(source: Source) -> str:

@@ -18,7 +18,7 @@ from slam.association.nearest import nearest_first, slot_for
 from slam.features import Wall, compatible, draw, innovation, inverse, total
 from slam.geometry import wrap
 from slam.linalg import distance2, dot2, inverse22, load22, load33, log_density
-from slam.phases import extend_features, inflated, initial, observation_noise, predict
+from slam.phases import extend_features, initial, noise_of_known, observation_noise, predict
 from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, ObservationNoise, Params, Particles, Trace
 
 POSE = slice(0, 3)
@@ -42,7 +42,7 @@ def init(feature: Any, start: Floats, start_covariance: Floats, params: Params) 
 def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params) -> tuple[EkfState, Trace]:
     """One observing step: predict, associate, correct pose and map, add what is new.  Draws nothing."""
     R = observation_noise(frame, params)
-    R_known = inflated(R, params.inflate_r)
+    R_known = noise_of_known(frame, R, params)
 
     state = predict_joint(state, frame, params)
     predicted = state.particles

@@ -9,10 +9,10 @@ from slam.phases import (
     add_features,
     draw_pose,
     extend_features,
-    inflated,
     initial,
     matched_features,
     miss_density,
+    noise_of_known,
     observation_noise,
     predict_by_sampling,
     resample_if_needed,
@@ -27,7 +27,7 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     """One observing step: draw the pose, associate, update the map, weigh, resample."""
     particles, resized = resize(rng, particles, params)
     R = observation_noise(frame, params)
-    R_known = inflated(R, params.inflate_r)
+    R_known = noise_of_known(frame, R, params)
 
     if particles.P.any():
         particles = draw_pose(rng, particles)  # an uncertain start

@@ -10,11 +10,11 @@ from slam.phases import (
     add_features,
     draw_pose,
     extend_features,
-    inflated,
     initial,
     linearised_at,
     matched_features,
     miss_density,
+    noise_of_known,
     observation_noise,
     predict,
     resample_if_needed,
@@ -30,7 +30,7 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     """One observing step: predict, associate, weigh, correct the pose, draw it, update the map, resample."""
     particles, resized = resize(rng, particles, params)
     R = observation_noise(frame, params)
-    R_known = inflated(R, params.inflate_r)
+    R_known = noise_of_known(frame, R, params)
 
     predicted = predict(particles, frame, params.believed)  # (21)
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2

@@ -1,4 +1,4 @@
-"""How good an estimate is: errors, consistency, map and association scores.
+"""How good an estimate is: errors, consistency, and with `slam.scores` what the map is worth.
 
 One function, one measure.  `measure` puts them together for one step of one filter.  Whatever needs a truth
 that nobody knows is NaN.  Nothing here is seen by a filter.
@@ -14,14 +14,15 @@ from scipy.special import gammaincinv
 
 from slam.genealogy import Genealogy, diversity
 from slam.geometry import circular_mean, wrap, wrap_all
-from slam.types import NEW, UNKNOWN_TAG, Floats, Frame, Ints, Trace
+from slam.scores import association_score, scores_of
+from slam.types import Floats, Frame, Ints, Trace
 
 ROUNDING = 1e-13
 """Relative: smaller eigenvalues of a covariance are rounding errors.  1 m against 0.3 micrometres."""
 
 
 class MapTruth(Protocol):
-    """The landmarks as they are; `scenarios.types.TrueMap` is one."""
+    """The landmarks or walls as they are; `scenarios.types.TrueMap` is one."""
 
     @property
     def tags(self) -> Ints:
@@ -30,7 +31,7 @@ class MapTruth(Protocol):
 
     @property
     def theta(self) -> Floats:
-        """(n, 2) [m, m]"""
+        """(n, 2) x y, or (n, 4) x0 y0 x1 y1 [m]"""
         ...
 
 
@@ -62,7 +63,7 @@ class Measures(NamedTuple):
     features: int
     """Features of the best particle, with those that this step added."""
     duplicates: float
-    """How many of these are beyond one for each tag; NaN where no tag is known."""
+    """How many of these show again what another one shows already; NaN where no tag is known."""
     correct: int
     """Observations of this step that the best particle paired rightly.  0, 0, 0 where no tag is known."""
     wrong: int
@@ -70,7 +71,8 @@ class Measures(NamedTuple):
     missed: int
     """Those that it did not pair although its map holds the thing, or ignored although it is new."""
     map_error_m: float
-    """RMS distance of its map in `Trace.weighted` from the true one, after rigid alignment."""
+    """RMS distance of its map in `Trace.weighted` from the true one, after rigid alignment: of the points, or of the
+    ends of the walls from the lines of the true ones."""
     map_error_unaligned_m: float
     """The same as the map lies."""
 
@@ -94,13 +96,14 @@ def measure(
     truth = np.full(3, np.nan) if truth is None else np.asarray(truth, float)
     error, best_error = pose_error(estimate, truth), pose_error(weighted.s[best], truth)
 
+    scores = scores_of(frame.feature)
     theta, _, map_tags = weighted.maps.features(best)
-    held = map_tags[: trace.predicted.maps.counts[best]]  # before this step added features
-    correct, wrong, missed = association_score(trace.n[best], frame.tags, held)
+    before = int(trace.predicted.maps.counts[best])  # features that this step did not add
+    held = scores.held(frame.feature, theta[:before], map_tags[:before], weighted.s[best], frame.z, frame.tags)
+    correct, wrong, missed = association_score(trace.n[best], frame.tags, map_tags[:before], held)
     aligned = unaligned = math.nan
     if true_map is not None:
-        pairs = map_pairs(theta, map_tags, true_map.tags, true_map.theta)
-        aligned, unaligned = rms_distance(*pairs, align=True), rms_distance(*pairs)
+        aligned, unaligned = scores.map_errors(theta, map_tags, true_map.tags, true_map.theta)
 
     age = None if genealogy is None else genealogy.common_ancestor_age()
     return Measures(
@@ -116,16 +119,13 @@ def measure(
         diversity=diversity(trace.resampled.lineage),
         common_ancestor_age=math.nan if age is None else float(age),
         features=len(map_tags),
-        duplicates=duplicates(map_tags),
+        duplicates=scores.duplicates(theta, map_tags),
         correct=correct,
         wrong=wrong,
         missed=missed,
         map_error_m=aligned,
         map_error_unaligned_m=unaligned,
     )
-
-
-# --- The pose -----------------------------------------------------------------------------------------------
 
 
 def mixture_moments(s: Floats, P: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -200,92 +200,3 @@ def rms(values: Floats) -> float:
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
     return math.sqrt(float(np.mean(values**2))) if len(values) else math.nan
-
-
-# --- Alignment, and the map ---------------------------------------------------------------------------------
-
-
-def align_rigid(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Rotation R (2, 2) and translation t (2,) with the least sum of |R p + t - q|^2; p, q (n, 2), n >= 1.
-
-    S. Umeyama, IEEE Trans. PAMI 13 (1991), without scale: in the plane the best turn is the direction of the
-    summed dot and cross products, never a reflection.  One point, or points all in one place, are only
-    translated.
-    """
-    p_mean, q_mean = p.mean(axis=0), q.mean(axis=0)
-    a, b = p - p_mean, q - q_mean
-    dot = float(np.sum(a * b))
-    cross = float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-    # Points in one place leave differences that are rounding errors, and their turn means nothing.
-    rounding = len(p) * np.finfo(float).eps * float(np.abs(p).max() * np.abs(b).sum())
-    angle = math.atan2(cross, dot) if math.hypot(dot, cross) > rounding else 0.0
-    c, s = math.cos(angle), math.sin(angle)
-    R = np.array([[c, -s], [s, c]])
-    return R, q_mean - R @ p_mean
-
-
-def map_pairs(theta: Floats, tags: Ints, true_tags: Ints, true_theta: Floats) -> tuple[Floats, Floats]:
-    """(m, 2) places of those features theta (n, >= 2) whose tag is in the truth, and (m, 2) where they should be.
-
-    Every duplicate counts.  A tag should occur once in the truth.
-    """
-    order = np.argsort(true_tags, kind="stable")
-    order = order[true_tags[order] != UNKNOWN_TAG]
-    if len(tags) == 0 or len(order) == 0:
-        return np.empty((0, 2)), np.empty((0, 2))
-    at = order[np.minimum(np.searchsorted(true_tags[order], tags), len(order) - 1)]
-    found = true_tags[at] == tags
-    return theta[found, :2], true_theta[at[found], :2]
-
-
-def rms_distance(p: Floats, q: Floats, align: bool = False) -> float:
-    """RMS distance [m] of p from q, (n, 2) each, after rigid alignment if asked for; NaN for none."""
-    if len(p) == 0:
-        return math.nan
-    if align:
-        R, t = align_rigid(p, q)
-        p = p @ R.T + t
-    return math.sqrt(float(np.sum((p - q) ** 2)) / len(p))
-
-
-def map_error(theta: Floats, tags: Ints, true_tags: Ints, true_theta: Floats, align: bool = True) -> float:
-    """RMS distance [m] of the features theta (n, >= 2) from the true ones (m, 2) of the same tag.
-
-    After rigid alignment unless told otherwise: a map that is right but for where it lies has no error.  Features
-    whose tag is unknown or not in the truth are left out; NaN if that leaves none.
-    """
-    return rms_distance(*map_pairs(theta, tags, true_tags, true_theta), align=align)
-
-
-# --- Data association ---------------------------------------------------------------------------------------
-
-
-def duplicates(tags: Ints) -> float:
-    """How many features of tags (n,) there are beyond one for each known tag; NaN if none is known."""
-    known = tags[tags != UNKNOWN_TAG]
-    if len(known) == 0 and len(tags) > 0:
-        return math.nan
-    return float(len(known) - len(np.unique(known)))
-
-
-def association_score(n: Ints, tags: Ints, map_tags: Ints) -> tuple[int, int, int]:
-    """(correct, wrong, missed) for the correspondences n (Z,) of things with tags (Z,).
-
-    `map_tags` are those of the map's features before the step.  Correct: paired with a feature born of the
-    same thing, or NEW when the map holds none of it.  Wrong: paired with one born of something else.  Missed: all
-    else, that is NEW or IGNORED although the map holds one, and IGNORED although it holds none.  Not counted: things of
-    unknown tag, and pairs with a feature of unknown tag.
-    """
-    known = tags != UNKNOWN_TAG
-    unpaired = n < 0
-    held = (tags[:, None] == map_tags).any(axis=1)
-    partner = np.full(len(n), UNKNOWN_TAG)
-    partner[~unpaired] = map_tags[n[~unpaired]]
-    right = (partner == tags) | ((n == NEW) & ~held)
-    wrong = (partner != tags) & (partner != UNKNOWN_TAG)
-    missed = unpaired & ~right
-    return (
-        int(np.count_nonzero(known & right)),
-        int(np.count_nonzero(known & wrong)),
-        int(np.count_nonzero(known & missed)),
-    )

@@ -112,9 +112,9 @@ def observation_noise(frame: Frame, params: Params) -> ObservationNoise:
     return type(frame.feature).believed(frame.z, params)
 
 
-def inflated(R: ObservationNoise, factor: float) -> ObservationNoise:
-    """What matching, weighing and correcting on known features believe: `inflate_r` times the honest covariances."""
-    return ObservationNoise(factor * R.sensor, factor * R.model)
+def noise_of_known(frame: Frame, R: ObservationNoise, params: Params) -> ObservationNoise:
+    """What is believed where known features match, weigh and correct: `inflate_r` times R, and the floors of walls."""
+    return type(frame.feature).of_known(R, params)
 
 
 # Prediction ---------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 NEW = -1
 """The correspondence n of an observation that is paired with no known feature."""
@@ -130,9 +131,9 @@ class Params:
     feature)."""
     temper: float = 1.0
     """Exponent on the observation likelihood; 1 is the paper."""
-    floor_lateral: float = 0.005
-    """[m] Deviation of a wall from the straight line that it is taken for (ours): what no sensor noise explains."""
-    floor_angle: float = math.radians(0.1)
+    floor_lateral: float = 0.05
+    """[m] Walls: deviation that is allowed to a known wall beside R (ours); new ones are drawn with the honest R."""
+    floor_angle: float = math.radians(0.2)
     """[rad] The same of its angle."""
     orthogonal: bool = False
     """EKF-SLAM on walls: a new wall that may be parallel or at right angles to the first one is made so."""

@@ -21,7 +21,7 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
 columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y), for a wall
 its lateral offset and its angle.  Class attributes: `dim` = D numbers that describe a feature, `observation` = d
 numbers of one observation, `grows` = whether `extend` does anything; and
-believed(z (Z, d), params) -> `ObservationNoise`.
+believed(z (Z, d), params) -> `ObservationNoise`, the honest one; of_known(R, params) -> that for known features.
 """
 
 from __future__ import annotations

@@ -41,6 +41,11 @@ class Point(NamedTuple):
         return ObservationNoise(R, np.zeros((2, 2)))
 
     @staticmethod
+    def of_known(R: ObservationNoise, params: Params) -> ObservationNoise:
+        """`inflate_r` times it."""
+        return ObservationNoise(params.inflate_r * R.sensor, R.model)
+
+    @staticmethod
     def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
         """Its own."""
         return R

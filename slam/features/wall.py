@@ -26,6 +26,9 @@ HIDDEN, OUT_OF_REACH, EDGE, CORNER = 0, 1, 2, 3
 """What ends an observed piece: something nearer hides the rest; the scan or its range ends there; the wall itself ends,
 with free space behind; it meets another wall.  From `EDGE` on it is an end of the wall."""
 
+STRAIGHT = (0.005, math.radians(0.05))
+"""[m, rad] Deviation of a wall from the line that is fitted to a piece of it (ours): what no sensor noise explains."""
+
 LEVER = 20.0
 """[m] of a wall over which the error of its angle counts."""
 
@@ -61,14 +64,27 @@ class Wall(NamedTuple):
 
     @staticmethod
     def believed(z: Floats, params: Params) -> ObservationNoise:
-        """That of the fitted lines, (lateral, angle); and the floors, since no wall is a perfect line."""
+        """That of the fitted lines, (lateral, angle); and `STRAIGHT`, or lower floors, since no wall is a perfect
+        line."""
         R = np.zeros((len(z), 2, 2))
         R[:, 0, 0], R[:, 1, 1] = z[:, 5], z[:, 6]
-        return ObservationNoise(R, np.diag([params.floor_lateral**2, params.floor_angle**2]))
+        floors = (params.floor_lateral, params.floor_angle)
+        return ObservationNoise(R, np.diag(np.minimum(floors, STRAIGHT) ** 2))
+
+    @staticmethod
+    def of_known(R: ObservationNoise, params: Params) -> ObservationNoise:
+        """`inflate_r` times it, with the floors whole (ours).
+
+        A frozen wall is as wrong for ever as when it was drawn.  To believe a few millimetres of it makes a particle
+        lose walls that it knows, and lets two walls whose angles are frozen a little wrong say where along the
+        corridor the robot is, which neither of them knows.
+        """
+        model = np.diag([params.floor_lateral**2, params.floor_angle**2])
+        return ObservationNoise(params.inflate_r * R.sensor, params.inflate_r * model)
 
     @staticmethod
     def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
-        """The floors, seen from where along the wall the piece is: an angle is a lateral offset far from its origin.
+        """With the model's error, seen from where along the wall the piece is: far off, an angle is a lateral offset.
 
         A wall that is drawn once has a frozen angle error; 0.1 degrees are 5 cm after 30 m.  It grows no more beyond
         `LEVER`: who is that far off has had time to make a new wall.

@@ -313,21 +313,25 @@ def test_one_world(capsys, name):
     assert cli.entry(["worlds", name]) == 0
     out = capsys.readouterr().out
     assert worlds()[name].features[0] in out
+    assert ("laser: 181 beams, 1° apart, to 8 m" in out) == ("walls" in worlds()[name].features)
     for option in (f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(worlds()[name].options)):
         assert option in out
 
 
-def test_a_world_can_be_written_and_run(capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("world", "option", "value"), [("paper-line", "--layout", "sparse"), ("hospital", "--layout-seed", "7")]
+)
+def test_a_world_can_be_written_and_run(capsys, tmp_path, world, option, value):
     path, summaries = tmp_path / "mine.toml", []
-    assert cli.entry(["worlds", "paper-line", "--layout", "sparse", "--write", str(path)]) == 0
-    for world in ([str(path)], ["paper-line", "--layout", "sparse"]):
+    assert cli.entry(["worlds", world, option, value, "--write", str(path)]) == 0
+    for written_or_not in ([str(path)], [world, option, value]):
         summary = tmp_path / "s.json"
-        assert cli.entry(["run", *world, "--particles", "5", "--steps", "3", "--summary", str(summary)]) == 0
+        assert cli.entry(["run", *written_or_not, "--particles", "5", "--steps", "3", "--summary", str(summary)]) == 0
         summaries.append(json.loads(summary.read_text())["filters"]["dfs"]["position_error_m"])
     assert summaries[0] == summaries[1]
     assert cli.entry(["worlds", str(path)]) == 0
     capsys.readouterr()
-    assert "--layout does not apply" in refused(capsys, "run", path, "--layout", "sparse")
+    assert f"{option} does not apply" in refused(capsys, "run", path, option, value)
 
 
 def test_a_world_replaces_nothing(capsys, tmp_path):

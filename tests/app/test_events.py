@@ -6,23 +6,26 @@ import dataclasses
 import errno
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app import session
 from app.events import Watch
+from app.loops import Loops
 from app.recording import Recorder
 from app.recording.pipe import Pipe
 from app.recording.reading import Recording
 from app.types import best_descendant
 from scenarios.registry import build, landmark_options
 from slam.estimators import ESTIMATORS
+from slam.types import IGNORED, NEW, Particles, Trace
 
 
-def told(world: str, key: str, **changes: object) -> list[tuple[int, str]]:
+def told(world: str, key: str, walls: bool = False, **changes: object) -> list[tuple[int, str]]:
     """Step and text of all events of a run."""
-    source = build(world, **landmark_options(world))
+    source = build(world, **{} if walls else landmark_options(world))
     info = session.make_info(source, [ESTIMATORS[key]], source.params(**changes), seed=1)
     watch = Watch({key: ESTIMATORS[key].title})
     return [(step.index, event.text) for step in session.steps(info) for event in watch.step(step)]
@@ -36,8 +39,52 @@ def test_a_loop_is_told_to_close_when_it_does(key: str):
     assert any(200 < step < 260 for step in closed)
 
 
-def test_no_loop_is_told_where_there_is_none():
-    assert not [text for _, text in told("paper-line", "dfs") if "closed a loop" in text]
+def test_a_loop_of_walls_is_told_to_close_when_it_does():
+    """0.4 m a step: the walls at the start are seen again after some 230 steps, and more of them until 290."""
+    closed = [step for step, text in told("loop", "dfs", walls=True, particles=30) if "closed a loop" in text]
+    assert min(closed) > 200
+    assert any(step < 300 for step in closed)
+    assert len(closed) < 10
+
+
+@pytest.mark.parametrize(("world", "walls"), [("paper-line", False), ("corridor", True)])
+def test_no_loop_is_told_where_there_is_none(world: str, walls: bool):
+    assert not [text for _, text in told(world, "dfs", walls=walls, particles=30) if "closed a loop" in text]
+
+
+def trace_of(n: list[list[int]], before: list[int], after: list[int], resized: list[int], selected: list[int]) -> Trace:
+    """A step of particles with so many features, of which only what `Loops` reads is there."""
+
+    def particles(counts: list[int]) -> Particles:
+        return SimpleNamespace(maps=SimpleNamespace(counts=np.array(counts)))  # type: ignore[return-value]
+
+    nothing = np.empty(0)
+    indices = (np.array(which, np.int64) for which in (resized, selected))
+    return Trace(particles(before), particles(after), particles(after), np.array(n), nothing, 1.0, False, *indices)
+
+
+def test_gaps_are_those_of_a_particle_and_its_ancestors():
+    """Two particles make a feature each, the first of them one more; each goes on with its own."""
+    loops, both = Loops(), [0, 1]
+    assert loops.step(trace_of([[NEW, NEW], [NEW, IGNORED]], [0, 0], [2, 1], both, both), 0, 10.0).tolist() == []
+    assert loops.step(trace_of([[1, NEW], [0, NEW]], [2, 1], [3, 2], both, both), 0, 20.0).tolist() == [10.0]
+    assert loops.step(trace_of([[2, NEW], [1, 0]], [3, 2], [4, 2], both, both), 1, 50.0).tolist() == [30.0, 30.0]
+    # The second one takes over: its feature 1 was matched a moment ago, that of the first one 40 m ago.
+    assert loops.step(trace_of([[3, 2], [1, NEW]], [4, 2], [4, 3], both, [1, 1]), 1, 60.0).tolist() == [10.0]
+    # Then there are three, all of its descent.
+    assert loops.step(trace_of([[0, 1, 2]] * 3, [3] * 3, [3] * 3, [0, 1, 0], [0]), 2, 95.0).tolist() == [
+        45.0,
+        35.0,
+        35.0,
+    ]
+
+
+def test_any_number_of_features_is_remembered():
+    loops = Loops()
+    for i in range(100):
+        loops.step(trace_of([[NEW]], [i], [i + 1], [0], [0]), 0, float(i))
+    gaps = loops.step(trace_of([list(range(100))], [100], [100], [0], [0]), 0, 100.0)
+    np.testing.assert_array_equal(gaps, 100.0 - np.arange(100))
 
 
 def test_what_lasts_is_told_once():

@@ -22,6 +22,7 @@ from app.interrupt import Interrupts
 from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from slam.perception import STANDARD, extract
 from slam.types import Noise, Params
 
 STEPS = 12
@@ -75,8 +76,9 @@ def watch(
     seed: int = 3,
     changes: Sequence[tuple[int, Params]] = (),
     noise: Noise | None = None,
+    features: str = "landmarks",
 ) -> list[SessionStep]:
-    source, watcher = build("loop", features="landmarks"), Watch()
+    source, watcher = build("loop", features=features), Watch()
     params = source.params(particles=particles, inflate_r=1.0)
     info = session.make_info(source, [ESTIMATORS[key] for key in keys], params, noise, seed, STEPS)
     session.run(info, [watcher], changes)
@@ -95,9 +97,10 @@ def estimates(steps: Sequence[SessionStep], key: str) -> np.ndarray:
     return np.array([step.filters[key].measures.estimate for step in steps])
 
 
-def test_neither_the_filters_nor_their_number_of_particles_change_the_world():
+@pytest.mark.parametrize("features", ["landmarks", "walls"])
+def test_neither_the_filters_nor_their_number_of_particles_change_the_world(features):
     worlds = {
-        world_hash(watch(keys, particles))
+        world_hash(watch(keys, particles, features=features))
         for keys in (["dfs"], ["fs1"], ["ekf", "fs2"], ["dfs", "fs2", "fs1", "ekf"])
         for particles in (1, 7, 30)
     }
@@ -109,11 +112,24 @@ def test_a_filter_does_not_notice_the_others():
     np.testing.assert_array_equal(estimates(alone, "fs2"), estimates(together, "fs2"))
 
 
+@pytest.mark.parametrize("features", ["landmarks", "walls"])
 @pytest.mark.parametrize("key", list(ESTIMATORS))
-def test_same_seed_same_bits(key):
-    once, again, other = watch([key]), watch([key]), watch([key], seed=4)
+def test_same_seed_same_bits(key, features):
+    once, again, other = (watch([key], seed=seed, features=features) for seed in (3, 3, 4))
     np.testing.assert_array_equal(estimates(once, key), estimates(again, key))
     assert world_hash(once) == world_hash(again) != world_hash(other)
+
+
+def test_walls_are_found_in_the_scan_that_the_filters_could_see():
+    """With its noise, once for all filters, and with the tags of the walls that were hit."""
+    for step in watch(features="walls"):
+        frame = step.frame
+        assert frame.scan is not None
+        found = extract(frame.scan, step.params.believed.range, STANDARD)
+        np.testing.assert_array_equal(frame.z, found.z)
+        assert 2 <= len(frame.z) == len(frame.tags)
+        assert (frame.tags >= 0).mean() > 0.5
+        assert len(step.filters["dfs"].trace.n[0]) == len(frame.z)
 
 
 def test_streams_do_not_repeat():

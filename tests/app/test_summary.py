@@ -93,6 +93,20 @@ def test_schema(tmp_path):
         assert all(0 < share <= 1 for share in filter["diversity"])
 
 
+def test_walls_are_summarised_like_landmarks(tmp_path):
+    path = tmp_path / "summary.json"
+    summarise(build("loop"), path=path)
+    summary = json.loads(path.read_text())
+    assert (summary["params"]["options"]["features"], summary["params"]["noise"]["odometry"]) == ("walls", 0.1)
+    for filter in summary["filters"].values():
+        assert set(filter) == ARRAYS | NUMBERS
+        assert {len(filter[name]) for name in ARRAYS} == {15}
+        assert all(count is not None for count in filter["duplicates_so_far"])
+        assert filter["features"][-1] > 5
+        right, wrong, missed = (filter["association"][name] for name in ("correct", "wrong", "missed"))
+        assert right > wrong + missed
+
+
 def test_numbers_are_those_of_the_measures():
     class Last:
         def begin(self, info):

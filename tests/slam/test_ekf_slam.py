@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from slam.ekf_slam import EKF_SLAM, EkfState
 from slam.features import Point
 from slam.geometry import wrap_all
-from slam.metrics import association_score
+from slam.scores import association_score
 from slam.types import Floats, Frame, Noise, Params
 from tests.slam import linear, plain
 from tests.slam.linear import Linear, joint_kalman, simulate_linear, uncached_kernels
@@ -174,7 +174,8 @@ def test_finds_the_associations_of_an_easy_world(association: Any) -> None:
         for frame in world.frames:
             map_tags = state.particles.maps.features(0)[2]
             state, trace = EKF_SLAM.step(np.random.default_rng(0), state, frame, params)
-            counts = association_score(trace.n[0], frame.tags, map_tags)
+            held = np.isin(frame.tags, map_tags)
+            counts = association_score(trace.n[0], frame.tags, map_tags, held)
             correct, wrong, missed = correct + counts[0], wrong + counts[1], missed + counts[2]
         assert sorted(mean_of(state)[1]) == list(range(len(world.landmarks)))
     assert (wrong, missed) == (0, 0)

@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from slam.features import Point
+from slam.features import Point, Wall
 from slam.genealogy import Genealogy
 from slam.metrics import (
     Measures,
-    align_rigid,
-    association_score,
-    duplicates,
-    map_error,
     measure,
     mixture_moments,
     nees,
@@ -23,7 +19,7 @@ from slam.metrics import (
     rms,
 )
 from slam.motion import Odometry
-from slam.types import IGNORED, NEW, UNKNOWN_TAG, Frame, Particles, Trace
+from slam.types import NEW, UNKNOWN_TAG, Frame, Particles, Trace
 
 PI = math.pi
 
@@ -197,7 +193,7 @@ def test_nees_interval_is_the_chi_square_one():
     assert nees_interval(3, 50, 0.99) == pytest.approx(chi2.ppf([0.005, 0.995], 150) / 50)
 
 
-# --- Errors and alignment -----------------------------------------------------------------------------------
+# --- Errors -------------------------------------------------------------------------------------------------
 
 
 def test_pose_error_goes_the_short_way_round():
@@ -213,134 +209,25 @@ def test_rms_ignores_what_is_unknown():
     assert math.isnan(rms(np.array([])))
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, PI / 2, PI, -3.0])
-@pytest.mark.parametrize("collinear", [False, True])
-def test_alignment_recovers_a_known_transform(angle, collinear):
-    rng = np.random.default_rng(3)
-    p = rng.normal([50.0, -80.0], 10.0, size=(20, 2))
-    if collinear:
-        p[:, 1] = 0.5 * p[:, 0] + 3.0
-    c, s = math.cos(angle), math.sin(angle)
-    R, t = np.array([[c, -s], [s, c]]), np.array([7.0, -2.0])
-    found_R, found_t = align_rigid(p, p @ R.T + t)
-    np.testing.assert_allclose(found_R, R, atol=1e-12)
-    np.testing.assert_allclose(found_t, t, atol=1e-10)
+# --- One step -----------------------------------------------------------------------------------------------
 
-
-def test_alignment_is_the_least_of_all():
-    """No small turn or shift of the found transform is better, on noisy and mirrored points."""
-    rng = np.random.default_rng(4)
-    p = rng.normal(size=(12, 2))
-    for q in (p + 0.3 * rng.normal(size=p.shape), p * [1.0, -1.0]):
-        R, t = align_rigid(p, q)
-        assert np.linalg.det(R) == pytest.approx(1.0)
-        least = np.sum((p @ R.T + t - q) ** 2)
-        for turn, dx, dy in np.vstack([1e-3 * np.eye(3), -1e-3 * np.eye(3)]):
-            c, s = math.cos(turn), math.sin(turn)
-            moved = p @ (np.array([[c, -s], [s, c]]) @ R).T + t + [dx, dy]
-            assert np.sum((moved - q) ** 2) > least
-
-
-def test_alignment_of_points_in_one_place_only_shifts():
-    place = np.array([40.1, -30.7])
-    for n in (1, 2, 7):
-        R, t = align_rigid(np.tile(place, (n, 1)), np.tile([1.3, 2.9], (n, 1)))
-        np.testing.assert_array_equal(R, np.eye(2))
-        np.testing.assert_allclose(place + t, [1.3, 2.9])
-    spread = np.array([[0.0, 0.0], [1.0, 3.0]])
-    np.testing.assert_array_equal(align_rigid(np.tile(place, (2, 1)), spread)[0], np.eye(2))
-
-
-# --- The map and its association ----------------------------------------------------------------------------
 
 TRUE_TAGS = np.array([30, 10, 20])
 TRUE_THETA = np.array([[3.0, 3.0], [1.0, 1.0], [2.0, 5.0]])
 
 
-def test_map_error_by_hand():
-    theta = np.array([[1.0, 1.3], [2.4, 5.0], [100.0, 100.0], [0.0, 0.0]])
-    tags = np.array([10, 20, UNKNOWN_TAG, 99])
-    plain = map_error(theta, tags, TRUE_TAGS, TRUE_THETA, align=False)
-    assert plain == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
-    assert map_error(theta, tags, TRUE_TAGS, TRUE_THETA) < plain
-    # Two points of the right distance can always be laid upon each other; one needs only a shift.
-    turned = np.array([[0.0, 0.0], [0.0, math.hypot(1.0, 4.0)]])
-    assert map_error(turned, np.array([10, 20]), TRUE_TAGS, TRUE_THETA) < 1e-12
-    assert map_error(turned[:1] + 8.0, np.array([30]), TRUE_TAGS, TRUE_THETA) < 1e-12
-
-
-def test_map_error_of_a_moved_map_with_duplicates_and_wall_frames():
-    """Frames (x, y, heading) as walls have them: the first two numbers are the place."""
-    c, s = math.cos(2.5), math.sin(2.5)
-    which = np.array([0, 1, 2, 1])
-    theta = np.column_stack([TRUE_THETA[which] @ np.array([[c, s], [-s, c]]) + [5.0, -9.0], np.ones(4)])
-    assert map_error(theta, TRUE_TAGS[which], TRUE_TAGS, TRUE_THETA) < 1e-12
-    assert map_error(theta, TRUE_TAGS[which], TRUE_TAGS, TRUE_THETA, align=False) > 5.0
-
-
-def test_map_error_without_anything_to_compare():
-    none = np.empty((0, 2)), np.empty(0, np.int64)
-    assert math.isnan(map_error(*none, TRUE_TAGS, TRUE_THETA))
-    assert math.isnan(map_error(TRUE_THETA, np.full(3, UNKNOWN_TAG), TRUE_TAGS, TRUE_THETA))
-    assert math.isnan(map_error(TRUE_THETA, TRUE_TAGS, none[1], none[0]))
-    # A true map may itself hold things that nobody can tell: they match nothing.
-    assert math.isnan(map_error(TRUE_THETA, np.full(3, UNKNOWN_TAG), np.full(3, UNKNOWN_TAG), TRUE_THETA))
-
-
-@pytest.mark.parametrize(
-    ("tags", "count"),
-    [([], 0.0), ([4, 5, 6], 0.0), ([4, 4, 5, 4, 5], 3.0), ([4, 4, -1, -1], 1.0), ([-1, -1], math.nan)],
-)
-def test_duplicates(tags, count):
-    np.testing.assert_equal(duplicates(np.array(tags, np.int64)), count)
-
-
-@pytest.mark.parametrize(
-    ("n", "tag", "score"),
-    [
-        (0, 10, (1, 0, 0)),  # paired with a feature of the same thing
-        (2, 10, (1, 0, 0)),  # ... with the duplicate of it
-        (1, 10, (0, 1, 0)),  # paired with another thing's
-        (0, 77, (0, 1, 0)),  # paired although the map does not hold it
-        (NEW, 77, (1, 0, 0)),  # new, and it is
-        (NEW, 20, (0, 0, 1)),  # new, but the map holds it
-        (IGNORED, 20, (0, 0, 1)),  # ignored, and the map holds it
-        (IGNORED, 77, (0, 0, 1)),  # ignored, and it is new
-        (3, 10, (0, 0, 0)),  # paired with a feature that nobody can name
-        (0, UNKNOWN_TAG, (0, 0, 0)),  # nobody can say
-        (3, UNKNOWN_TAG, (0, 0, 0)),
-        (NEW, UNKNOWN_TAG, (0, 0, 0)),
-        (IGNORED, UNKNOWN_TAG, (0, 0, 0)),
-    ],
-)
-def test_association_score_by_hand(n, tag, score):
-    map_tags = np.array([10, 20, 10, UNKNOWN_TAG])
-    assert association_score(np.array([n]), np.array([tag]), map_tags) == score
-    # Of several observations each is scored by itself.
-    twice = association_score(np.array([n, 1]), np.array([tag, 20]), map_tags)
-    assert twice == (score[0] + 1, score[1], score[2])
-
-
-def test_association_score_of_nothing():
-    none = np.empty(0, np.int64)
-    assert association_score(none, none, np.array([1, 2])) == (0, 0, 0)
-    assert association_score(np.array([NEW, NEW]), np.array([5, 5]), none) == (2, 0, 0)
-
-
-# --- One step -----------------------------------------------------------------------------------------------
-
-
 class StandInMaps(NamedTuple):
-    """Maps of two particles; the best one's holds the things 30, 10, 10 again, and once the step is over 20 and 30."""
+    """Maps of two particles, of which only the best one's is asked for."""
 
     best: int
     counts: np.ndarray
+    theta: np.ndarray
+    tags: np.ndarray
 
     def features(self, k):
         assert k == self.best
-        theta = np.array([[3.0, 3.5], [1.0, 1.0], [1.0, 1.5], [2.0, 5.0], [3.0, 3.0]])
         size = self.counts[k]
-        return theta[:size], np.zeros((size, 2, 2)), np.array([30, 10, 10, 20, 30])[:size]
+        return self.theta[:size], np.zeros((size, 2, 2)), self.tags[:size]
 
 
 class TrueMap(NamedTuple):
@@ -349,10 +236,13 @@ class TrueMap(NamedTuple):
 
 
 def one_step():
+    """The best map holds the things 30, 10, 10 again, and once the step is over 20 and 30."""
+    theta = np.array([[3.0, 3.5], [1.0, 1.0], [1.0, 1.5], [2.0, 5.0], [3.0, 3.0]])
+    tags = np.array([30, 10, 10, 20, 30])
     s = np.array([[1.0, 2.0, PI - 0.1], [1.4, 2.0, -PI + 0.1]])
     P = np.tile(np.diag([0.04, 0.09, 0.01]), (2, 1, 1))
     log_w = np.log([0.4, 0.6])
-    before, after = StandInMaps(1, np.array([2, 3])), StandInMaps(1, np.array([6, 5]))
+    before, after = (StandInMaps(1, np.array(counts), theta, tags) for counts in ([2, 3], [6, 5]))
     predicted = Particles(s + 9.0, P, np.log([0.9, 0.1]), np.array([5, 3]), before)  # type: ignore[arg-type]
     weighted = Particles(s, P, log_w, np.array([5, 3]), after)  # type: ignore[arg-type]
     resampled = weighted._replace(log_w=np.log([0.5, 0.5]), lineage=np.array([3, 3]))
@@ -380,6 +270,26 @@ def test_measure_by_hand():
     assert (m.correct, m.wrong, m.missed) == (2, 1, 1)
     assert m.map_error_unaligned_m == pytest.approx(math.sqrt((0.25 + 0.25) / 5))
     assert m.map_error_m < m.map_error_unaligned_m
+
+
+def test_measure_of_walls():
+    """Walls along x, as the best particle at (3, 0) sees them: one again, another part of one, one as if new."""
+    trace, frame = one_step()
+    at = [(5.0, -1.0, 30), (5.0, 1.0, 20), (5.0, 2.0, 10), (25.0, 1.0, 20), (5.1, 2.1, 10)]  # the last two by this step
+    theta = np.array([[x, y, 0.0, -1.0, 1.0, 0.0, 0.0, 1.0] for x, y, _ in at])
+    tags = np.array([tag for _, _, tag in at])
+    z = np.array([[x - 3.0, y, 0.0, -1.0, 1.0, 1e-6, 1e-6, 0, 0, 20] for x, y in [(6, -1), (25, 1), (5.1, 2.1)]])
+    n, poses = np.array([[1, 1, 1], [0, NEW, NEW]]), np.array([[-40.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    maps = [StandInMaps(1, np.array(counts), theta, tags) for counts in ([2, 3], [6, 5])]
+    trace = trace._replace(
+        predicted=trace.predicted._replace(maps=maps[0]), weighted=trace.weighted._replace(s=poses, maps=maps[1]), n=n
+    )
+    true_map = TrueMap(np.array([30, 20, 10]), np.array([[0, -1.5, 9, -1.5], [0, 0.5, 9, 0.5], [0, 1.6, 9, 1.6]]))
+    m = measure(trace, frame._replace(feature=Wall(), z=z, tags=np.array([30, 20, 10])), None, true_map)
+    assert (m.features, m.duplicates) == (5, 1.0)
+    assert (m.correct, m.wrong, m.missed) == (2, 0, 1)
+    assert m.map_error_unaligned_m == pytest.approx(math.sqrt((3 * 0.25 + 0.4**2 + 0.5**2) / 5))
+    assert m.map_error_m < 0.1
 
 
 def test_measure_without_truth():

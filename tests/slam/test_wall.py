@@ -108,7 +108,8 @@ def test_nothing_is_said_along_a_wall() -> None:
 
 def test_the_floor_grows_with_the_distance_along_the_wall() -> None:
     """As a deviation of the wall itself would, up to 20 m."""
-    noise = Wall.believed(np.stack([piece(1, 2, 0.3)]), Params(floor_lateral=0.01, floor_angle=0.002))
+    params = Params(floor_lateral=0.01, floor_angle=0.002)
+    noise = Wall.of_known(Wall.believed(np.stack([piece(1, 2, 0.3)]), params), params)
     np.testing.assert_allclose(noise.sensor[0], np.diag([1e-6, 1e-6]))
     theta = wall(0.0, 0.0, 0.0, 50.0)
     for t in (0.0, 5.0, -15.0, 40.0):
