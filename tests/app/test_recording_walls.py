@@ -333,10 +333,7 @@ def test_nothing_seen(info, tmp_path):
     for step in session.steps(info._replace(steps=3)):
         scan = None if step.index == 1 else step.frame.scan._replace(ranges=np.full(181, math.inf))
         frame = step.frame._replace(scan=scan, z=nothing, tags=np.zeros(0, np.int64))
-        filters = {
-            key: update._replace(trace=update.trace._replace(n=update.trace.n[:, :0]))
-            for key, update in step.filters.items()
-        }
+        filters = {k: u._replace(trace=u.trace._replace(n=u.trace.n[:, :0])) for k, u in step.filters.items()}
         recorder.step(dataclasses.replace(step, frame=frame, truth=None, filters=filters))
     recorder.end()
     recording = Recording(tmp_path / "a.rrd")
