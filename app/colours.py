@@ -24,6 +24,13 @@ TRUTH_ON_DARK: RGB = (238, 238, 238)
 ODOMETRY: RGB = (130, 130, 130)
 WARNING: RGB = (240, 228, 66)
 
+MATCHED: RGB = (240, 228, 66)
+NEW: RGB = (145, 115, 255)
+REJECTED: RGB = (238, 60, 60)
+"""What became of a piece of wall that was seen.  Told apart by all, and from the filters."""
+
+ASSOCIATION: RGB = (255, 255, 255)
+
 BACKGROUND: RGB = (13, 16, 17)
 """Of dark views; what fades, fades into this."""
 

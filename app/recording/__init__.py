@@ -3,11 +3,17 @@
 A recording has the application id `dual-fastslam`, holds all filters of a session, and opens in any Rerun viewer
 (`blueprint`).  Its entities, with <filter> a short name such as `dfs`:
 
-    /world/truth/{robot,path,map}   /world/odometry/path   /world/scan
-    /world/<filter>/particles       positions, coloured by weight, and headings
+    /world/truth/{robot,path,map}   /world/odometry/path
+    /world/scan                     what was seen, from the true pose: rays to landmarks, or where a laser met something
+    /world/<filter>/particles       positions, coloured by weight, and headings; with walls, the best one's ellipse
     /world/<filter>/ellipses        2-sigma pose covariance of every particle
-    /world/<filter>/map             the best particle's map with 2-sigma ellipses
-    /world/<filter>/maps            features of the maps of all particles
+    /world/<filter>/map             the best particle's map: landmarks with 2-sigma ellipses, or walls, the brighter the
+                                    more often they were seen, with `observations`, how often
+    /world/<filter>/map/ends        walls: the ends that are known to be ends
+    /world/<filter>/map/bands       walls: 2-sigma bands of their lateral offset and angle
+    /world/<filter>/maps            features of the maps of all particles; walls that they share are drawn once
+    /world/<filter>/segments        walls: the pieces that the best particle saw, coloured: matched, new, rejected
+    /world/<filter>/associations    from where it saw something to what it took it for; hidden until switched on
     /world/<filter>/path            path of the best particle
     /world/<filter>/lineages        all paths that lead to a living particle
     /world/<filter>/{focus,best}    frames of the close-ups: about the estimate, about the best particle

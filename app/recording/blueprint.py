@@ -19,22 +19,25 @@ MAP_ASPECT = 1.8
 
 BACKGROUND = colours.BACKGROUND
 
+ON_DEMAND = "associations"
+"""What of a filter no view shows until somebody wants to see it."""
 
-def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str]) -> rrb.Blueprint:
+
+def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str], legend: str) -> rrb.Blueprint:
     """The window: the map with a close-up for each filter on the left, plots and pages on the right.
 
-    `known` is what somebody knows (`metrics.known_of`).
+    `known` is what somebody knows (`metrics.known_of`), `legend` what the title of a map says of features.
     """
     oriented = "heading" in known
     together = rrb.Vertical(
-        _map_view(_legend(filters), extent, filters),
+        _map_view(_legend(filters) + legend, extent, filters),
         rrb.Horizontal(*(_close_up(f, "focus", f.title, oriented) for f in filters)),
         row_shares=[5, 3],
         name="All filters",
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(together, *(_of_one(f, extent, oriented) for f in filters), active_tab=0),
+            rrb.Tabs(together, *(_of_one(f, extent, oriented, legend) for f in filters), active_tab=0),
             rrb.Vertical(_plots(filters, known), _pages(filters), row_shares=[3, 2]),
             column_shares=[8, 5],
         ),
@@ -44,11 +47,12 @@ def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str]) 
     )
 
 
-def _of_one(estimator: Estimator, extent: Extent, oriented: bool) -> rrb.Container:
+def _of_one(estimator: Estimator, extent: Extent, oriented: bool, legend: str) -> rrb.Container:
     """The tab of one filter: its map with lineages and all hypotheses, its particles, and the best one of them."""
     title = estimator.title
+    named = f"{title}: map, all surviving paths, the maps of all particles{legend}"
     return rrb.Vertical(
-        _map_view(f"{title}: map, all surviving paths, the maps of all particles", extent, [estimator], whole=True),
+        _map_view(named, extent, [estimator], whole=True),
         rrb.Horizontal(
             _close_up(estimator, "focus", f"{title}: particles", oriented),
             _close_up(estimator, "best", f"{title}: the best particle", oriented),
@@ -64,16 +68,16 @@ def _legend(filters: Sequence[Estimator]) -> str:
 
 
 def _map_view(name: str, extent: Extent, filters: Sequence[Estimator], whole: bool = False) -> rrb.Spatial3DView:
-    """Seen from straight above.  With several filters, what would crowd the map is there, but switched off."""
+    """Seen from straight above.  What would crowd the map is there, but switched off: with several filters, much."""
     grid = nice(extent.size / 12)
     roots = [f"/world/{f.key}" for f in filters]
-    crowded = [] if whole else [f"{root}/{what}" for root in roots for what in ("maps", "lineages", "ellipses")]
+    crowd = (ON_DEMAND,) if whole else ("maps", "lineages", "ellipses", ON_DEMAND)
     frames = [f"- {root}/{frame}/**" for root in roots for frame in ("focus", "best")]
     return rrb.Spatial3DView(
         name=f"{name}; grid {grid:g} m",
         origin="/world",
         contents=[*_surroundings(), *(f"+ {root}/**" for root in roots), *frames],
-        overrides={path: rrb.EntityBehavior(visible=False) for path in crowded},
+        overrides={f"{root}/{what}": rrb.EntityBehavior(visible=False) for root in roots for what in crowd},
         background=BACKGROUND,
         line_grid=_grid(grid),
         eye_controls=_eye(extent.centre, extent.eye_height(MAP_ASPECT)),
@@ -98,6 +102,7 @@ def _close_up(estimator: Estimator, frame: str, name: str, oriented: bool) -> rr
             f"- {root}/maps",
             f"- {root}/{other}/**",
         ],
+        overrides={f"{root}/{ON_DEMAND}": rrb.EntityBehavior(visible=False)},
         background=BACKGROUND,
         line_grid=_grid(1.0),
         eye_controls=_eye((0.0, 0.0), CLOSE_HEIGHT),

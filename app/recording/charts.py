@@ -85,7 +85,7 @@ def time_marks(last: Band) -> rr.Points2D:
 def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
     """Weights times K, largest first (a sample of them when there are many): all bars 1 high means equal weights."""
     share = np.sort(np.exp(p.log_w))[::-1] * len(p.log_w)
-    return rr.BarChart(share[sample(len(share), shown.bars)].astype(np.float32), color=rgb)
+    return rr.BarChart.from_fields(values=arrow.bars(share[sample(len(share), shown.bars)]), color=rgb)
 
 
 def _shades(strips: list[Strip], rgb: colours.RGB) -> Floats:

@@ -8,8 +8,9 @@ import numpy as np
 
 from app.types import SessionStep
 from scenarios.types import Source
+from slam.geometry import compose
 from slam.motion import propagate
-from slam.types import Floats, Frame
+from slam.types import Floats, Frame, Scan
 
 FIELD = 1.04
 """Height of what a view shows, over the distance of the eye: a viewer's field of view is 55 degrees."""
@@ -40,11 +41,11 @@ class Extent(NamedTuple):
 
 
 def extent_of(source: Source, steps: int) -> Extent:
-    """What holds the route and the landmarks; dead reckoning where nobody knows the truth."""
+    """What holds the route and the landmarks or walls; dead reckoning where nobody knows the truth."""
     known = [s.truth[:2] for s in source.steps[:steps] if s.truth is not None]
     places = [source.start[None, :2], np.array(known) if known else _dead_reckoning(source, steps)]
     if source.true_map is not None and len(source.true_map.theta):
-        places.append(source.true_map.theta[:, :2])
+        places.append(source.true_map.theta.reshape(-1, 2))  # the two ends of walls
     xy = np.concatenate(places)
     xy = xy[np.isfinite(xy).all(axis=1)]
     low, high = xy.min(axis=0), xy.max(axis=0)
@@ -74,6 +75,15 @@ def seen(frame: Frame, s: Floats) -> Floats:
     """(Z, 2) [m] where the observations of a frame lie, seen from the pose s (3,)."""
     ends = [type(frame.feature).inverse(frame.feature, s, z)[0][:2] for z in frame.z]
     return np.array(ends, float).reshape(-1, 2)
+
+
+def returns(scan: Scan, s: Floats) -> Floats:
+    """(m, 2) [m] where the beams ended that came back, seen from the pose s (3,) of the robot."""
+    r, theta = scan.ranges, scan.bearings
+    back = (r > 0.0) & (r < scan.max_range) & np.isfinite(r) & np.isfinite(theta)  # never true of NaN
+    laser = compose(s, scan.origin)
+    direction = laser[2] + theta[back]
+    return laser[:2] + r[back, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
 
 
 def known(pose: Floats | None) -> bool:

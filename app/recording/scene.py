@@ -35,10 +35,11 @@ FLAT = 1e-6
 LIFT = 1e-4
 """Between two layers, over the distance of the eye: the least that viewers, measured, reliably tell apart is 6e-5."""
 
-SCAN, TRUTH_MAP, ODOMETRY, TRUTH = range(2, 6)
-"""Heights, in lifts, of what is no filter: above the grid, beneath all of them."""
+SCAN, TRUTH_MAP, ODOMETRY, TRUTH, RETURNS = range(2, 7)
+"""Heights, in lifts, of what is no filter: above the grid, beneath all of them.  Rays lie below landmarks, and returns
+of a laser on the walls that they came from."""
 
-MAPS, LINEAGES, MAP_ELLIPSES, PATH, MAP, ELLIPSES, PARTICLES = range(2, 9)
+MAPS, LINEAGES, MAP_ELLIPSES, PATH, MAP, SEGMENTS, ASSOCIATIONS, ELLIPSES, PARTICLES = range(2, 11)
 """Layers of the filters, from below."""
 
 
@@ -61,35 +62,35 @@ def crowding(landmarks: int) -> float:
     return min(1.0, max(0.3, math.sqrt(80.0 / max(landmarks, 1))))
 
 
-def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
-    """Colours and sizes of the entities of a filter, by the last part of their path."""
+def looks(style: Style) -> dict[str, list[Any]]:
+    """Colours and sizes of the entities of a filter, by the last part of their path; not those of features."""
     rgb, rank = style.rgb, style.rank
     return {
         "particles": [
             rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.0 + 0.8 * rank)),
             rr.Arrows3D.from_fields(colors=colours.faded(rgb, 0.35), radii=rr.Radius.ui_points(0.6)),
+            strokes(colours.mix(rgb, (255, 255, 255), 0.6), 2.0),  # of an outline
         ],
         "ellipses": [rr.Ellipsoids3D.from_fields(colors=(*rgb, 14), fill_mode="solid")],
-        "map": [
-            _dots(rgb, crowd * (2.5 + 0.8 * rank)),
-            rr.Ellipsoids3D.from_fields(colors=(*rgb, 40), fill_mode="solid"),
-        ],
-        "maps": [_dots(colours.faded(rgb, 0.4), 1.2)],
-        "path": [_strokes(rgb, 1.4 + 0.9 * rank)],
-        "lineages": [_strokes(None, 1.0)],
+        "path": [strokes(rgb, 1.4 + 0.9 * rank)],
+        "lineages": [strokes(None, 1.0)],
     }
 
 
-def looks_of_surroundings(crowd: float) -> dict[str, list[Any]]:
+def looks_of_surroundings() -> dict[str, list[Any]]:
     """The same for what is no filter, by path below /world."""
-    white, yellow = colours.TRUTH_ON_DARK, colours.faded(colours.WARNING, 0.55)
+    white = colours.TRUTH_ON_DARK
     return {
-        "truth/robot": [_dots(white, 4.0), rr.Arrows3D.from_fields(colors=white, radii=rr.Radius.ui_points(1.2))],
-        "truth/path": [_strokes(white, 1.2)],
-        "truth/map": [_dots(colours.faded(white, 0.35), crowd * 6.0)],
-        "odometry/path": [_strokes(colours.ODOMETRY, 1.2)],
-        "scan": [_strokes(yellow, 0.8), _dots(yellow, 1.5)],
+        "truth/robot": [dots(white, 4.0), rr.Arrows3D.from_fields(colors=white, radii=rr.Radius.ui_points(1.2))],
+        "truth/path": [strokes(white, 1.2)],
+        "odometry/path": [strokes(colours.ODOMETRY, 1.2)],
     }
+
+
+def look_of_associations() -> list[Any]:
+    """Thin enough not to hide what they join."""
+    rgb = colours.ASSOCIATION
+    return [strokes(rgb, 1.4), dots(rgb, 3.0)]
 
 
 def points(xy: Floats, z: float) -> rr.Points3D:
@@ -141,16 +142,18 @@ def particle_ellipses(p: Particles, shown: Limits, best: int, style: Style) -> r
     return ellipses(p.s[chosen], p.P[chosen, :2, :2], style.z(ELLIPSES))
 
 
-def feature_map(theta: Floats, Sigma: Floats, style: Style) -> tuple[rr.Points3D, rr.Ellipsoids3D]:
-    """Features theta (n, >= 2) [m] of one map, with their covariance (n, 2, 2)."""
-    return points(theta, style.z(MAP)), ellipses(theta, Sigma[:, :2, :2], style.z(MAP_ELLIPSES))
+def associations(seen: Floats, features: Floats, style: Style) -> list[Any]:
+    """Lines from where a particle sees something, seen (m, 2), to what it takes it for, features (m, 2) [m]."""
+    z = style.z(ASSOCIATIONS)
+    strips = arrow.segments(np.stack([seen, features], axis=1), z)
+    return [rr.LineStrips3D.from_fields(strips=strips), points(seen, z)]
 
 
 def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips3D:
     """All surviving paths: the more of the living particles descend through a branch, the brighter it is."""
     branches, rows, lengths = thinned_tree(genealogy.branches(), genealogy.steps, 4 * shown.vertices)
     living = np.array([b.living for b in branches], float)
-    shades = _faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
+    shades = faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
     strips = arrow.strips(rows, lengths, style.z(LINEAGES))
     return rr.LineStrips3D.from_fields(strips=strips, colors=arrow.colours(shades))
 
@@ -202,15 +205,17 @@ def _strips(paths: list[Floats], z: float) -> pa.Array:
     return arrow.strips(rows, [len(p) for p in paths], z)
 
 
-def _dots(rgb: RGB, radius: float) -> rr.Points3D:
+def dots(rgb: RGB, radius: float) -> rr.Points3D:
+    """How dots look that are so large on the screen."""
     return rr.Points3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(radius))
 
 
-def _strokes(rgb: RGB | None, width: float) -> rr.LineStrips3D:
+def strokes(rgb: RGB | None, width: float) -> rr.LineStrips3D:
+    """How lines look that are so wide on the screen; without a colour if each has its own."""
     return rr.LineStrips3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(0.5 * width))
 
 
-def _faded(rgb: RGB, share: Floats) -> Floats:
+def faded(rgb: RGB, share: Floats) -> Floats:
     """(n, 3) colours, of which `share` (n,) is replaced by the background."""
     return np.array(rgb) + share[:, None] * (np.array(colours.BACKGROUND) - np.array(rgb))
 
@@ -219,4 +224,4 @@ def _by_weight(rgb: RGB, brightness: Floats) -> Floats:
     """(n, 3) colours for brightness (n,) in -1..1."""
     b = brightness[:, None]
     white = np.array(colours.mix(rgb, (255, 255, 255), 0.85))
-    return np.where(b < 0, _faded(rgb, -0.7 * brightness), np.array(rgb) + b * (white - np.array(rgb)))
+    return np.where(b < 0, faded(rgb, -0.7 * brightness), np.array(rgb) + b * (white - np.array(rgb)))

@@ -11,18 +11,41 @@ from typing import Any
 from app import colours
 from app.recording.limits import Limits
 from app.types import SessionInfo
+from slam.features import Wall
 
 PAPER = (
     "D. Rodriguez-Losada, P. San Segundo, F. Matia, L. Pedraza, *Dual FastSLAM: Dual Factorization of the Particle "
     "Filter Based Solution of the Simultaneous Localization and Mapping Problem*, J. Intell. Robot. Syst. 55 (2009) "
     "109-134"
 )
+LANDMARKS = """\
+**Associations**, thin lines from where the best particle saw a landmark to the one it took it for, are hidden in every
+view until they are switched on: open the panel on the left, find `associations` below the view and the filter, and
+click on its eye."""
+
+WALLS = """\
+**Walls.** What the laser saw is drawn twice. Dim yellow dots are its returns, seen from the true pose. Thick lines are
+the pieces of wall that were made of them, where the best particle believes to see them: **yellow** if it matched them
+with a wall of its map, **violet** if they are new to it, **red** if it rejected them, too far from any wall to be of it
+and too near to one to be new. The map is that of the best particle. A wall is the brighter the more often it was seen;
+point at it, and `observations` says how often. A dot is an end that is known to be one; an end without a dot is only as
+far as anybody saw. Bands are two standard deviations of where a wall lies; Dual FastSLAM's walls have none, and bands
+of up to 2 cm are left out. The true walls are broad and grey. The outlined ellipse is that of the best particle: in a
+corridor, that says nothing about the way along it, it is long and narrow. The maps of all particles are a bundle that
+opens along the way, and closes when a loop does.
+
+**Associations**, thin lines from the middle of every matched piece to the wall it was matched with, are hidden in every
+view until they are switched on: open the panel on the left, find `associations` below the view and the filter, and
+click on its eye."""
+
 PACKAGES = ("dual-fastslam-workbench", "numpy", "scipy", "numba", "rerun-sdk")
 
 
 def about(info: SessionInfo, shown: Limits) -> str:
     """Markdown: what the recording is, how to read its views, where the methods come from."""
     legend = "\n".join(f"- **{f.title}** is {colours.word(f.key)} (`{f.key}`). {f.reference}." for f in info.filters)
+    walls = isinstance(info.source.feature, Wall)
+    faint, features = ("lines", WALLS) if walls else ("dots", LANDMARKS)
     return f"""\
 # {info.source.title}
 
@@ -38,9 +61,11 @@ The Dual FastSLAM paper: {PAPER}.
 **Map.** Dots with a line are particles and their headings: faint where the weight is small, white where it is large.
 Ellipses are two standard deviations. Filters that agree show as rings around each other. The close-ups follow each
 filter's estimate and change their scale by themselves; the size of a square is written below. A filter is overconfident
-when the truth lies far outside of its particles. The tab of a filter adds the maps of all particles (faint dots) and
+when the truth lies far outside of its particles. The tab of a filter adds the maps of all particles (faint {faint}) and
 all surviving paths: up to where they run together, the particles remember only one past. What the map of all filters
 hides for clarity can be switched on in the panel on the left.
+
+{features}
 
 **Plots.** N_eff says how many particles still count; below the grey line the filter resamples. It is
 blind to copies: when all particles are clones of one, N_eff is K. Diversity is the share of the particles of the
@@ -58,7 +83,7 @@ is the time of the world or log.
 
 All plots and events. Of the particles of each filter at most {shown.particles} are drawn ({shown.ellipses} with
 ellipse). Paths are redrawn every {_steps(shown.paths)}; lineages, ancestry and all maps every {_steps(shown.pictures)},
-with at most {shown.hypotheses} features of all maps.
+with at most {shown.hypotheses} features of all maps{" (a wall that particles share counts once)" if walls else ""}.
 """
 
 

@@ -11,16 +11,17 @@ import rerun as rr
 
 from app import colours
 from app.events import Watch
-from app.recording import charts, scene, texts
+from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, layout
-from app.recording.ground import extent_of, known, observer, seen
+from app.recording.ground import extent_of, known, observer
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import Stream
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
+from slam.features import Wall
 from slam.geometry import ellipse_axes
 from slam.metrics import nees_interval
-from slam.types import Floats, Particles
+from slam.types import Floats, Frame, Particles
 
 EPOCH = 1e7
 """[s] beyond which a log's clock counts from a distant past; `sim_time` then counts from the log's start."""
@@ -49,6 +50,7 @@ class Writer:
     def __init__(self, info: SessionInfo, path: Path) -> None:
         self._info = info
         self._limits = limits_for(info.steps)
+        self._features = walls if isinstance(info.source.feature, Wall) else landmarks
         self._watch = Watch({f.key: f.title for f in info.filters})
         self._truth: list[list[Floats]] = []
         """Stretches of the path along which the truth is known."""
@@ -71,7 +73,8 @@ class Writer:
         bands = charts.bands(len(self._many), info.steps)
         self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
         title = f"{info.source.name}, seed {info.seed}"
-        self._stream = Stream(path, layout(info.filters, extent, known_of(info.source, info.steps)), title)
+        views = layout(info.filters, extent, known_of(info.source, info.steps), self._features.LEGEND)
+        self._stream = Stream(path, views, title)
         self._write_static()
         self._stream.begun()
 
@@ -98,6 +101,7 @@ class Writer:
         for key, update in step.filters.items():
             weighted = update.trace.weighted
             self._write_particles(key, weighted, int(update.measures.best))
+            self._write_observations(key, update, step.frame)
             bars = charts.weight_bars(weighted, self._limits, colours.of_filter(key))
             self._stream.log(f"weights/{key}", bars)
 
@@ -135,12 +139,13 @@ class Writer:
         }.items():
             log(entity, rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN))
         if info.source.true_map is not None:
-            log("world/truth/map", scene.points(info.source.true_map.theta, scene.TRUTH_MAP * self._lift))
-        for entity, look in scene.looks_of_surroundings(crowd).items():
+            log("world/truth/map", self._features.true_map(info.source.true_map.theta, self._lift))
+        for entity, look in (scene.looks_of_surroundings() | self._features.looks_of_surroundings(crowd)).items():
             log(f"world/{entity}", *look)
         for f in info.filters:
             rgb = colours.of_filter(f.key)
-            for entity, look in scene.looks(self._styles[f.key], crowd).items():
+            style = self._styles[f.key]
+            for entity, look in (scene.looks(style) | self._features.looks(style, crowd)).items():
                 log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
                 log(f"plots/{metric.name}/{f.key}", rr.SeriesLines(names=f.title, colors=rgb, widths=1.8))
@@ -170,8 +175,7 @@ class Writer:
         if redraw:
             path = thinned(np.array(self._odometry), self._limits.vertices)
             log("world/odometry/path", scene.lines([path], scene.ODOMETRY * z))
-        origin = observer(step)
-        log("world/scan", *scene.rays(origin[:2], seen(step.frame, origin), scene.SCAN * z))
+        log("world/scan", *self._features.scan(step.frame, observer(step), z))
 
     def _write_focus(self, key: str, update: FilterUpdate, truth: Floats | None) -> None:
         """Frames of the close-ups: one on particles and truth, however far apart, one on the best particle alone."""
@@ -196,8 +200,17 @@ class Writer:
 
     def _write_particles(self, key: str, particles: Particles, best: int) -> None:
         style, log = self._styles[key], self._stream.log
-        log(f"world/{key}/particles", *scene.particles(particles, self._limits, best, self._unit[key], style))
+        drawn = scene.particles(particles, self._limits, best, self._unit[key], style)
+        log(f"world/{key}/particles", *drawn, *self._features.beside_particles(particles, best, style))
         log(f"world/{key}/ellipses", scene.particle_ellipses(particles, self._limits, best, style))
+
+    def _write_observations(self, key: str, update: FilterUpdate, frame: Frame) -> None:
+        """What the best particle sees, and what it takes it for."""
+        best, weighted = int(update.measures.best), update.trace.weighted
+        theta, _, _ = weighted.maps.features(best)
+        seen = self._features.observations(frame, weighted.s[best], update.trace.n[best], theta, self._styles[key])
+        for entity, what in seen.items():
+            self._stream.log(f"world/{key}/{entity}", *what)
 
     def _write_memory(self, key: str, update: FilterUpdate, index: int) -> None:
         """What the filter remembers: maps, paths, ancestry."""
@@ -206,12 +219,12 @@ class Writer:
         picture = due(index, steps, limits.pictures)
         if picture or update.measures.features <= limits.features:
             theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
-            log(f"world/{key}/map", *scene.feature_map(theta, Sigma, style))
+            for entity, what in self._features.best_map(theta, Sigma, style).items():
+                log(f"world/{key}/{entity}", *what)
         if due(index, steps, limits.paths):
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
         if picture:
-            _, theta = weighted.maps.everything(limits.hypotheses)
-            log(f"world/{key}/maps", scene.points(theta, style.z(scene.MAPS)))
+            log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
             log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
 

@@ -80,7 +80,7 @@ def test_every_entity_of_the_contract_is_there(recorded):
     recording, _ = recorded
     wanted = {"/world/truth/robot", "/world/truth/path", "/world/truth/map", "/world/odometry/path", "/world/scan"}
     for key in KEYS:
-        parts = ("particles", "ellipses", "map", "maps", "path", "lineages", "focus", "best")
+        parts = ("particles", "ellipses", "map", "maps", "associations", "path", "lineages", "focus", "best")
         wanted |= {f"/world/{key}/{part}" for part in parts}
         wanted |= {f"/plots/{metric.name}/{key}" for metric in METRICS}
         wanted |= {f"/genealogy/{key}", f"/weights/{key}"}
@@ -192,6 +192,25 @@ def test_maps_and_paths(recorded):
     np.testing.assert_allclose(np.array(truth)[:, :2], [s.truth[:2] for s in steps if s.truth is not None], atol=1e-5)
     _, lineages = recording.rows("/world/dfs/lineages", "LineStrips3D:strips", "step")[-1]
     assert len(lineages) == len(update.genealogy.branches())
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_associations_join_what_is_seen_with_what_it_is_taken_for(recorded, key):
+    recording, steps = recorded
+    rows = recording.rows(f"/world/{key}/associations", "LineStrips3D:strips", "step")
+    for step, (_, drawn) in zip(steps, rows, strict=True):
+        trace, best = step.filters[key].trace, step.filters[key].measures.best
+        theta, _, _ = trace.weighted.maps.features(best)
+        x, y, heading = trace.weighted.s[best]
+        expected = [
+            [[x + r * np.cos(heading + b), y + r * np.sin(heading + b)], theta[i]]
+            for (r, b), i in zip(step.frame.z, trace.n[best], strict=True)
+            if i >= 0
+        ]
+        np.testing.assert_allclose(
+            np.array(drawn).reshape(-1, 2, 3)[..., :2], np.array(expected).reshape(-1, 2, 2), atol=1e-5
+        )
+    assert sum(len(drawn) for _, drawn in rows) > STEPS
 
 
 def test_events_tell_what_happened(recorded):

@@ -295,4 +295,5 @@ def test_a_step_without_truth_and_without_observations(tmp_path):
 
 def blind(step: SessionStep) -> SessionStep:
     frame = step.frame._replace(z=np.zeros((0, 2)), tags=np.zeros(0, np.int64))
-    return dataclasses.replace(step, truth=None, frame=frame)
+    filters = {k: u._replace(trace=u.trace._replace(n=u.trace.n[:, :0])) for k, u in step.filters.items()}
+    return dataclasses.replace(step, truth=None, frame=frame, filters=filters)

@@ -84,6 +84,17 @@ class Viewer:
         self._client.set_blueprint(blueprint, "recording")
         self._settle()
 
+    def switch_on(self, entity: str) -> None:
+        """What somebody does with the eye of a hidden entity, in all views."""
+        blueprint = self._client.get_blueprint("recording").blueprint
+        hidden = [parts["EntityBehavior"] for path, parts in blueprint.items() if f"/overrides{entity}/" in f"{path}/"]
+        assert hidden
+        assert not any(behaviour["visible"] for behaviour in hidden)
+        for behaviour in hidden:
+            behaviour["visible"] = True
+        self._client.set_blueprint(blueprint, "recording")
+        self._settle()
+
     def in_front(self) -> set[str]:
         """`view_id` of all views that no other tab hides."""
         blueprint = self._client.get_blueprint("recording").blueprint
