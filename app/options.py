@@ -96,8 +96,8 @@ class FilterOptions:
     ] = None
     """Resample when N_eff falls below this fraction of K: 0 never, 1 always."""
     preset: Annotated[str | None, values.choice("--preset", tuple(PRESETS)), default("none")] = None
-    """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate; building is for
-    walls, tempered and with wide gates."""
+    """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate; building is
+    what worlds of walls have by default, tempered and with wide gates."""
 
 
 @dataclass(frozen=True)

@@ -60,15 +60,9 @@ def reals(option: str, metavar: str, limits: Interval) -> Any:
     )
 
 
-def choice(option: str, names: Sequence[str], later: Sequence[str] = ()) -> Any:
-    """One of a few names; those for `later` are settled but mean nothing yet."""
-
-    def read(text: str) -> str:
-        if text in later:
-            raise UsageError(f"{option} is {text}, which is not there yet; expected {listed(names)}")
-        return _choose(option, text, names)
-
-    return _spec("|".join(names), read)
+def choice(option: str, names: Sequence[str]) -> Any:
+    """One of a few names."""
+    return _spec("|".join(names), lambda text: _choose(option, text, names))
 
 
 def choices(option: str, metavar: str, names: Sequence[str]) -> Any:

@@ -17,7 +17,7 @@ PAPER: dict[str, Any] = {
 }
 """The honest R, every observation counted in full, one gate; the rest as in the paper's baseline code."""
 
-BUILDING: dict[str, Any] = {"temper": 0.1, "inflate_r": 4.0, "gate": 0.99999, "gate_new": 0.99999999}
+BUILDING: dict[str, Any] = {"temper": 0.1, "inflate_r": 9.0, "gate": 0.99999, "gate_new": 0.99999999}
 """For walls that a laser sees scan after scan (ours).
 
 Scans of one wall are no independent evidence, and particles are to differ when a loop closes: hence `temper` and
