@@ -38,7 +38,7 @@ class Corridor:
     """[m] between the doors of one side; the other side is half a spacing ahead."""
     door_width: float = 1.0
     """[m]"""
-    recess: float = 0.12
+    recess: float = 0.3
     """[m] that closed doors are set back; the thickness of the wall around open ones."""
     far_end: Literal["wall", "open"] = "wall"
     """Walls only: without doors and end wall, nothing tells how far along the corridor the robot is."""

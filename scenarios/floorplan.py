@@ -40,7 +40,7 @@ class Doors:
     width: float
     """[m]"""
     kind: DoorKind = "none"
-    recess: float = 0.12
+    recess: float = 0.3
     """[m] that the leaf is set back, and the thickness of the wall around a doorway."""
 
 

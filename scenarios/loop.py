@@ -48,7 +48,7 @@ class Loop:
     """[m] between the doors of one wall; the doors of the wall across are half a spacing ahead."""
     door_width: float = 1.0
     """[m]"""
-    recess: float = 0.12
+    recess: float = 0.3
     """[m] that closed doors are set back; the thickness of the wall around open ones."""
     speed: float = 0.8
     """[m/s]"""

@@ -48,7 +48,7 @@ class RotationThenCorridor:
     """[m] between the doors of one side; the other side is half a spacing ahead."""
     door_width: float = 1.0
     """[m]"""
-    recess: float = 0.12
+    recess: float = 0.3
     """[m] that closed doors are set back; the thickness of the wall around open ones."""
     lobby_walls: Literal["all", "none"] = "all"
     """Walls only: whether the lobby is a room, or the corridor begins in the open."""
