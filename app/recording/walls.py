@@ -46,7 +46,7 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
     return {
         "map": [scene.strokes(None, 1.8 + 1.4 * rank)],
         "map/ends": [scene.dots(rgb, crowd * (3.2 + 0.7 * rank))],
-        "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 45))],
+        "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 24))],
         "maps": [scene.strokes(colours.faded(rgb, 0.58), 0.8)],
         "segments": [scene.strokes(None, 3.6)],
         "associations": scene.look_of_associations(),
