@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from app.study.association import AssociationStudy
 from app.study.log_error import LogError
+from app.study.loop_closure import LoopClosure
 from app.study.paper_table import PaperTable
 
 STUDIES: dict[str, type] = {
     "paper-table": PaperTable,
     "log-error": LogError,
     "association": AssociationStudy,
+    "loop-closure": LoopClosure,
 }
