@@ -6,6 +6,7 @@ A study is a frozen dataclass: its fields are its options, its docstring is its 
 from __future__ import annotations
 
 from app.study.association import AssociationStudy
+from app.study.corridor_spread import CorridorSpread
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
 from app.study.paper_table import PaperTable
@@ -15,4 +16,5 @@ STUDIES: dict[str, type] = {
     "log-error": LogError,
     "association": AssociationStudy,
     "loop-closure": LoopClosure,
+    "corridor-spread": CorridorSpread,
 }
