@@ -10,6 +10,7 @@ from app.study.corridor_spread import CorridorSpread
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
 from app.study.paper_table import PaperTable
+from app.study.rotation_spread import RotationSpread
 
 STUDIES: dict[str, type] = {
     "paper-table": PaperTable,
@@ -17,4 +18,5 @@ STUDIES: dict[str, type] = {
     "association": AssociationStudy,
     "loop-closure": LoopClosure,
     "corridor-spread": CorridorSpread,
+    "rotation-spread": RotationSpread,
 }

@@ -115,8 +115,7 @@ class CorridorSpread:
     def _table(self, key: str, spreads: list[tuple[Spread, Spread]], runs: int) -> Table:
         particles = 1 if key == "ekf" else self.particles
         title = f"{TITLES[key]}, {particles} particle{'s' if particles > 1 else ''}, doors {self.doors}, {runs} runs"
-        numbers = ("reported [m]", "true [m]", "ratio")
-        columns = [f"{direction}, {number}" for direction in ("along", "across") for number in numbers]
+        columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", "rms error [m]", "ratio")]
         table = empty_table(title, "driven", *columns)
         for distance, directions in zip(self.distances, spreads, strict=True):
             cells = [(f"{of.reported_m:.3g}", f"{of.true_m:.3g}", of.ratio.rounded(2)) for of in directions]
