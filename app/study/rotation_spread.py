@@ -20,7 +20,7 @@ from app.study.tuning import Tuning, tuned
 from scenarios.floorplan import DoorKind
 from scenarios.registry import build
 from scenarios.types import Source
-from slam.limits import PARAMS, Interval
+from slam.limits import PARAMS
 from slam.metrics import rms
 from slam.types import Floats
 
@@ -42,8 +42,10 @@ class Task(NamedTuple):
 class RotationSpread:
     """Deviations at the end of rotation-then-corridor, along and across the true corridor, against a reference.
 
-    The reference is Dual FastSLAM with very many particles, on the first few of the seeds: the root of the mean of its
-    variances.  Every run of the others is divided by that.  Example: dualslam study rotation-spread --runs 20
+    The reference is Dual FastSLAM with very many particles on the same seed, that is with the same odometry and the
+    same scans: by which heading the corridor was entered decides how much of the deviation is along it.
+
+    Example: dualslam study rotation-spread --runs 20 --particles 30 300 --reference 10000
     """
 
     runs: RunsOption = 20
@@ -52,10 +54,8 @@ class RotationSpread:
     """Some of dfs, fs2, fs1, ekf."""
     particles: Annotated[tuple[int, ...], values.wholes("--particles", "K ...", PARAMS["particles"])] = (30, 300)
     """Numbers of particles."""
-    reference: Annotated[int, values.whole("--reference", "K", PARAMS["particles"])] = 10000
+    reference: Annotated[int, values.whole("--reference", "K", PARAMS["particles"])] = 3000
     """Particles of the reference."""
-    reference_runs: Annotated[int, values.whole("--reference-runs", "N", Interval(1))] = 3
-    """Runs of the reference."""
     doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
     """The doors of the corridor."""
     seed: SeedOption = 0
@@ -72,40 +72,37 @@ class RotationSpread:
         jobs = begin(self.out, self.jobs)
         tuned(_source(self.doors), self.tuning, 1, self.noise)  # complain now of what does not apply
         seeds = range(self.seed, self.seed + self.runs)
-        # The longest first: without the reference there is nothing to show.
-        tasks = [Task(self, REFERENCE, self.reference, self.seed + at) for at in range(self.reference_runs)] + [
-            Task(self, key, particles, seed)
-            for seed in seeds
+        settings = [
+            (key, particles)
             for key in self.filters
             for particles in (dict.fromkeys(self.particles) if key != "ekf" else (1,))
         ]
+        each = [(REFERENCE, self.reference), *settings]
+        tasks = [Task(self, *setting, seed) for seed in seeds for setting in each]
         found, stopped = run_all(one_run, tasks, jobs, "rotation-spread")
-        reference, cells = found[: self.reference_runs], {}
-        for task, outcome in list(zip(tasks, found, strict=False))[self.reference_runs :]:
-            cells.setdefault((task.filter, task.particles), []).append(outcome)
-        fewest = min((len(outcomes) for outcomes in cells.values()), default=0)
+        whole = len(found) // len(each)  # seeds of which everything was run
+        reference, *others = (found[at : whole * len(each) : len(each)] for at in range(len(each)))
+        cells = dict(zip(settings, others, strict=True)) if whole else {}
         tables = [self._table(reference, cells)] if cells else []
         results = {
-            "reference": {"deviation_m": reported(reference), "runs": [outcome._asdict() for outcome in reference]},
+            "reference": {"particles": self.reference, "runs": [outcome._asdict() for outcome in reference]},
             "cells": [_result(*cell, outcomes, reference) for cell, outcomes in cells.items()],
         }
-        return finish(self, "rotation-spread", command, results, tables, (fewest, self.runs), stopped, MEDIANS)
+        return finish(self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS)
 
     def _table(self, reference: list[Outcome], cells: dict[tuple[str, int], list[Outcome]]) -> Table:
         columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", "ratio", "rms error [m]")]
-        table = empty_table(f"end of {WORLD}, doors {self.doors}", "", "K", "runs", *columns)
-        many = len(reference)
-        for (key, particles), outcomes in {(REFERENCE, self.reference): reference, **cells}.items():
-            name = TITLES[key] if outcomes is not reference else f"{TITLES[key]}, reference"
+        table = empty_table(f"end of {WORLD}, doors {self.doors}", "", "K", *columns)
+        rows = [(f"{TITLES[REFERENCE]}, reference", self.reference, reference)]
+        rows += [(TITLES[key], particles, outcomes) for (key, particles), outcomes in cells.items()]
+        for name, particles, outcomes in rows:
             ratio, deviation = ratios(outcomes, reference), deviations(outcomes)
             row: list[str] = []
             for axis in (0, 1):
                 true = rms(np.array([outcome.error_m[axis] for outcome in outcomes]))
                 row += [spread(list(deviation[:, axis])), spread(list(ratio[:, axis]), ".2f"), f"{true:.3g}"]
-            table.add_row(name, str(particles), str(len(outcomes)), *row)
-        table.caption = (
-            f"ratio: to the reference, the root of the mean of the variances of its {many} run{'s' if many > 1 else ''}"
-        )
+            table.add_row(name, str(particles), *row)
+        table.caption = "ratio: to the reference's on the same seed"
         table.caption_justify = "left"
         return table
 
@@ -127,14 +124,9 @@ def deviations(outcomes: list[Outcome]) -> Floats:
     return np.sqrt(np.array([outcome.variance_m2 for outcome in outcomes]))
 
 
-def reported(outcomes: list[Outcome]) -> Floats:
-    """(2,) [m] Root of the mean of the variances, along and across."""
-    return np.sqrt(np.mean([outcome.variance_m2 for outcome in outcomes], axis=0))
-
-
 def ratios(outcomes: list[Outcome], reference: list[Outcome]) -> Floats:
-    """(N, 2) deviation of every run by that of the reference, along and across."""
-    return deviations(outcomes) / reported(reference)
+    """(N, 2) deviation of every run by that of the reference on its seed, along and across."""
+    return deviations(outcomes) / deviations(reference)
 
 
 def _result(key: str, particles: int, outcomes: list[Outcome], reference: list[Outcome]) -> dict[str, Any]:

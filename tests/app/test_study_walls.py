@@ -196,24 +196,27 @@ def test_what_cannot_be_studied(arguments, complaint, capsys):
     assert complaint in capsys.readouterr().err
 
 
-def test_ratios_are_to_the_root_mean_variance_of_the_reference():
-    reference = [Deviation((0, 0), (1.0, 16.0)), Deviation((0, 0), (7.0, 16.0))]
-    found = ratios([Deviation((0, 0), (4.0, 4.0)), Deviation((0, 0), (1.0, 64.0))], reference)
-    np.testing.assert_allclose(found, [[1.0, 0.5], [0.5, 2.0]])
+def test_ratios_are_to_the_reference_on_the_same_seed():
+    reference = [Deviation((0, 0), (4.0, 16.0)), Deviation((0, 0), (1.0, 16.0))]
+    found = ratios([Deviation((0, 0), (4.0, 4.0)), Deviation((0, 0), (4.0, 64.0))], reference)
+    np.testing.assert_allclose(found, [[1.0, 0.5], [2.0, 2.0]])
 
 
 def test_rotation_spread(capsys, tmp_path):
-    line = "rotation-spread --runs 2 --filters dfs --particles 3 --reference 20 --reference-runs 1 --jobs 1"
+    line = "rotation-spread --runs 2 --filters dfs fs2 --particles 3 20 --reference 20 --jobs 1"
     found = saved(tmp_path, *line.split())
     out = capsys.readouterr().out
     assert "Dual FastSLAM, reference" in out
     assert "2 of 2 seeds" in out
-    (cell,) = found["cells"]
-    assert (cell["filter"], cell["particles"], len(cell["runs"])) == ("dfs", 3, 2)
-    along, across = found["reference"]["deviation_m"]
-    assert found["reference"]["runs"][0]["variance_m2"] == pytest.approx([along**2, across**2])
-    assert across > along  # the heading that the turn made uncertain, over 64 m
-    for run, ratio in zip(cell["runs"], cell["ratios"], strict=True):
-        assert ratio == pytest.approx(
-            [math.sqrt(v) / d for v, d in zip(run["variance_m2"], (along, across), strict=True)]
-        )
+    cells = {(cell["filter"], cell["particles"]): cell for cell in found["cells"]}
+    assert list(cells) == [("dfs", 3), ("dfs", 20), ("fs2", 3), ("fs2", 20)]
+    reference = [run["variance_m2"] for run in found["reference"]["runs"]]
+    assert len(reference) == 2
+    for along, across in reference:
+        assert across > along  # the heading that the turn made uncertain, over 64 m
+    for cell in cells.values():
+        variances = [run["variance_m2"] for run in cell["runs"]]
+        np.testing.assert_allclose(cell["ratios"], np.sqrt(np.array(variances) / reference))
+        assert cell["median_ratio"]["across"] == pytest.approx(np.median(np.array(cell["ratios"])[:, 1]))
+    np.testing.assert_allclose(cells["dfs", 20]["ratios"], 1.0)  # the reference itself
+    assert not np.allclose(cells["fs2", 20]["ratios"], 1.0)
