@@ -6,11 +6,17 @@ A study is a frozen dataclass: its fields are its options, its docstring is its 
 from __future__ import annotations
 
 from app.study.association import AssociationStudy
+from app.study.corridor_spread import CorridorSpread
 from app.study.log_error import LogError
+from app.study.loop_closure import LoopClosure
 from app.study.paper_table import PaperTable
+from app.study.rotation_spread import RotationSpread
 
 STUDIES: dict[str, type] = {
     "paper-table": PaperTable,
     "log-error": LogError,
     "association": AssociationStudy,
+    "loop-closure": LoopClosure,
+    "corridor-spread": CorridorSpread,
+    "rotation-spread": RotationSpread,
 }

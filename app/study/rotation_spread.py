@@ -1,0 +1,145 @@
+"""What is reported at the end of a corridor that a robot enters with an uncertain heading, against many particles."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple, get_args
+
+import numpy as np
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes
+
+from app import session, values
+from app.options import FILTERS, WorldNoise
+from app.study.corridor_spread import DeviationWatch, Outcome
+from app.study.jobs import run_all
+from app.study.output import MEDIANS, TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
+from app.study.statistics import spread
+from app.study.tuning import Tuning, tuned
+from scenarios.floorplan import DoorKind
+from scenarios.registry import build
+from scenarios.types import Source
+from slam.limits import PARAMS
+from slam.metrics import rms
+from slam.types import Floats
+
+WORLD = "rotation-then-corridor"
+REFERENCE = "dfs"
+"""The filter that many particles are given to."""
+
+
+class Task(NamedTuple):
+    """One filter, one number of particles, one seed."""
+
+    study: RotationSpread
+    filter: str
+    particles: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class RotationSpread:
+    """Deviations at the end of rotation-then-corridor, along and across the true corridor, against a reference.
+
+    The reference is Dual FastSLAM with very many particles on the same seed, that is with the same odometry and the
+    same scans: by which heading the corridor was entered decides how much of the deviation is along it.
+
+    Example: dualslam study rotation-spread --runs 20 --particles 30 300 --reference 10000
+    """
+
+    runs: RunsOption = 20
+    """Independent runs, with seeds from --seed on."""
+    filters: Annotated[tuple[str, ...], values.choices("--filters", "|".join(FILTERS), FILTERS)] = ("dfs", "fs2")
+    """Some of dfs, fs2, fs1, ekf."""
+    particles: Annotated[tuple[int, ...], values.wholes("--particles", "K ...", PARAMS["particles"])] = (30, 300)
+    """Numbers of particles."""
+    reference: Annotated[int, values.whole("--reference", "K", PARAMS["particles"])] = 3000
+    """Particles of the reference."""
+    doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
+    """The doors of the corridor."""
+    seed: SeedOption = 0
+    """The first seed."""
+    jobs: JobsOption = None
+    """Processes; results do not depend on it."""
+    out: OutOption = None
+    """Deviations, ratios and every single run."""
+    tuning: OmitArgPrefixes[Tuning] = field(default_factory=Tuning)
+    noise: WorldNoise = field(default_factory=WorldNoise)
+
+    def __call__(self, command: str) -> int:
+        """Run, print, save; returns the exit code."""
+        jobs = begin(self.out, self.jobs)
+        tuned(_source(self.doors), self.tuning, 1, self.noise)  # complain now of what does not apply
+        seeds = range(self.seed, self.seed + self.runs)
+        settings = [
+            (key, particles)
+            for key in self.filters
+            for particles in (dict.fromkeys(self.particles) if key != "ekf" else (1,))
+        ]
+        each = [(REFERENCE, self.reference), *settings]
+        tasks = [Task(self, *setting, seed) for seed in seeds for setting in each]
+        found, stopped = run_all(one_run, tasks, jobs, "rotation-spread")
+        whole = len(found) // len(each)  # seeds of which everything was run
+        reference, *others = (found[at : whole * len(each) : len(each)] for at in range(len(each)))
+        cells = dict(zip(settings, others, strict=True)) if whole else {}
+        tables = [self._table(reference, cells)] if cells else []
+        results = {
+            "reference": {"particles": self.reference, "runs": [outcome._asdict() for outcome in reference]},
+            "cells": [_result(*cell, outcomes, reference) for cell, outcomes in cells.items()],
+        }
+        return finish(self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS)
+
+    def _table(self, reference: list[Outcome], cells: dict[tuple[str, int], list[Outcome]]) -> Table:
+        columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", "ratio", "rms error [m]")]
+        table = empty_table(f"end of {WORLD}, doors {self.doors}", "", "K", *columns)
+        rows = [(f"{TITLES[REFERENCE]}, reference", self.reference, reference)]
+        rows += [(TITLES[key], particles, outcomes) for (key, particles), outcomes in cells.items()]
+        for name, particles, outcomes in rows:
+            ratio, deviation = ratios(outcomes, reference), deviations(outcomes)
+            row: list[str] = []
+            for axis in (0, 1):
+                true = rms(np.array([outcome.error_m[axis] for outcome in outcomes]))
+                row += [spread(list(deviation[:, axis])), spread(list(ratio[:, axis]), ".2f"), f"{true:.3g}"]
+            table.add_row(name, str(particles), *row)
+        table.caption = "ratio: to the reference's on the same seed"
+        table.caption_justify = "left"
+        return table
+
+
+def one_run(task: Task) -> Outcome:
+    """One filter with one number of particles on one seed, at its end."""
+    from slam.estimators import ESTIMATORS
+
+    study, source = task.study, _source(task.study.doors)
+    noise, params = tuned(source, study.tuning, task.particles, study.noise)
+    last = len(source.steps)
+    watch = DeviationWatch([last])
+    session.run(session.make_info(source, [ESTIMATORS[task.filter]], params, noise, task.seed), [watch])
+    return watch.found[task.filter, last]
+
+
+def deviations(outcomes: list[Outcome]) -> Floats:
+    """(N, 2) [m] along and across."""
+    return np.sqrt(np.array([outcome.variance_m2 for outcome in outcomes]))
+
+
+def ratios(outcomes: list[Outcome], reference: list[Outcome]) -> Floats:
+    """(N, 2) deviation of every run by that of the reference on its seed, along and across."""
+    return deviations(outcomes) / deviations(reference)
+
+
+def _result(key: str, particles: int, outcomes: list[Outcome], reference: list[Outcome]) -> dict[str, Any]:
+    ratio = ratios(outcomes, reference)
+    return {
+        "filter": key,
+        "particles": particles,
+        "median_ratio": {"along": float(np.median(ratio[:, 0])), "across": float(np.median(ratio[:, 1]))},
+        "ratios": ratio,
+        "runs": [outcome._asdict() for outcome in outcomes],
+    }
+
+
+@functools.lru_cache(maxsize=1)  # every run of a process drives the same way
+def _source(doors: str) -> Source:
+    return build(WORLD, features="walls", doors=doors)
