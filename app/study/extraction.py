@@ -85,7 +85,7 @@ class ExtractionStudy:
             )
             rows = {name: _row(scored) for name, scored in {**scores, TOTAL: total(list(scores.values()))}.items()}
             for name, row in rows.items():
-                table.add_row(name, *(str(cell) for cell in row.values()))
+                table.add_row(name, *("-" if cell is None else str(cell) for cell in row.values()))
             results.append({"beams": beams, "range_noise_m": sigma, "worlds": {k: _plain(r) for k, r in rows.items()}})
             tables.append(table)
         note = (
