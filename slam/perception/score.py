@@ -91,8 +91,17 @@ def score(
 
 def total(scores: Sequence[Score]) -> Score:
     """Of all scans together."""
-    counts = [sum(counts) for counts in zip(*(s[:6] for s in scores), strict=True)]
-    return Score(*counts, *(np.concatenate(parts) for parts in zip(*(s[6:] for s in scores), strict=True)))
+    return Score(
+        walls=sum(s.walls for s in scores),
+        found=sum(s.found for s in scores),
+        short=sum(s.short for s in scores),
+        segments=sum(s.segments for s in scores),
+        nobodys=sum(s.nobodys for s in scores),
+        off=sum(s.off for s in scores),
+        lateral=np.concatenate([s.lateral for s in scores]),
+        angle=np.concatenate([s.angle for s in scores]),
+        beams=np.concatenate([s.beams for s in scores]),
+    )
 
 
 def errors(z: Floats, wall: Floats, pose: Floats) -> tuple[float, float]:
