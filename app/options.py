@@ -23,6 +23,7 @@ from slam.motion import Odometry
 from slam.types import (
     UNKNOWN_TAG,
     AssociationName,
+    Frame,
     Noise,
     Params,
     ProposalWeightName,
@@ -190,11 +191,18 @@ def parameters(
     if not filters.orthogonal:  # a flag that is not there says nothing
         given.pop("orthogonal")
     params = source.params(**{**preset, **given, "believed": belief})
-    if params.association == "known" and all((step.frame.tags == UNKNOWN_TAG).all() for step in source.steps):
+    if params.association == "known" and not any(_told(step.frame) for step in source.steps):
         raise UsageError(
             f"--association is known, but nobody knows what was seen in {source.name}; expected nearest or jcbb"
         )
     return dataclasses.replace(source.noise, **world), params
+
+
+def _told(frame: Frame) -> bool:
+    """Whether somebody knows what something in the frame is: what was observed, or what the laser's beams met."""
+    if frame.scan is not None:
+        return frame.scan.walls is not None and bool((frame.scan.walls != UNKNOWN_TAG).any())
+    return bool((frame.tags != UNKNOWN_TAG).any())
 
 
 def _check_applies(option: str, given: dict[str, float], source: Source) -> None:

@@ -17,6 +17,7 @@ from app.colours import of_filter
 from app.compiling import CompileClock
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
+from slam.features import Point
 from slam.metrics import nees_interval, rms
 from slam.types import Floats
 
@@ -85,6 +86,9 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     console.print()
     print_whole(console, table(summary))
     console.print()
+    if summary.steps and not summary.observed:
+        thing = "landmark" if isinstance(info.source.feature, Point) else "wall"
+        console.print(f"no {thing} was seen in any of these steps: all of this is dead reckoning", style="yellow")
     for key, series in summary.filters.items():
         events = [(step, text) for step, who, text in summary.faults if who == key]
         for step, text in events[:SHOWN_EVENTS]:

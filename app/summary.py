@@ -112,6 +112,8 @@ class Summary:
         self.faults: list[tuple[int, str, str]] = []
         """Of these, what a filter reported itself: something went wrong with its numbers."""
         self.filters: dict[str, FilterSeries] = {}
+        self.observed = 0
+        """Observations of all steps."""
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
@@ -126,6 +128,7 @@ class Summary:
         self.truth.append(np.full(3, np.nan) if step.truth is None else step.truth)
         self.changes += [(step.index, sentence) for sentence in step.changes]
         self.events += [(step.index, event.who, event.text) for event in self._watch.step(step) if event.who]
+        self.observed += len(step.frame.z)
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
         for key, update in step.filters.items():
             self.filters[key].add(update, tagged)

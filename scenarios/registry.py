@@ -56,6 +56,11 @@ def landmark_options(name: str) -> dict[str, str]:
     return {"features": "landmarks"} if len(worlds()[name].features) > 1 else {}
 
 
+def wall_worlds() -> tuple[str, ...]:
+    """The worlds that offer walls, which then is what they show by default."""
+    return tuple(entry.name for entry in _WORLDS if "walls" in entry.features)
+
+
 def is_world(name: str) -> bool:
     """Whether `build` is the one to ask: the name of a world, or a path that ends in `.toml`."""
     return name in worlds() or Path(name).suffix.lower() == ".toml"

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from app.study.association import AssociationStudy
 from app.study.corridor_spread import CorridorSpread
+from app.study.extraction import ExtractionStudy
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
+from app.study.orthogonality import OrthogonalityStudy
 from app.study.paper_table import PaperTable
 from app.study.rotation_spread import RotationSpread
 
@@ -19,4 +21,6 @@ STUDIES: dict[str, type] = {
     "loop-closure": LoopClosure,
     "corridor-spread": CorridorSpread,
     "rotation-spread": RotationSpread,
+    "orthogonality": OrthogonalityStudy,
+    "extraction": ExtractionStudy,
 }

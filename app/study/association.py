@@ -84,7 +84,7 @@ class AssociationStudy:
             "duplicates [%]",
             "worst",
             "features",
-            "error, end [m]",
+            "error, end, m",
         )
         results: dict[str, Any] = {}
         for key in self.filters if found else ():

@@ -47,25 +47,26 @@ def finish(
     runs: tuple[int, int],
     stopped: bool,
     note: str = MEANS,
+    unit: str = "seeds",
 ) -> int:
     """Show the tables and the command that made them, save what there is; returns the exit code.
 
-    runs: how many were done of how many.
+    runs: how many `unit` were done of how many.
     """
     console = Console(highlight=False)
     for table in tables:
         print_whole(console, table)
         console.print()
     done, asked = runs
-    console.print(f"{note}; {done} of {asked} seeds\n{command}", soft_wrap=True, markup=False)
+    console.print(f"{note}; {done} of {asked} {unit}\n{command}", soft_wrap=True, markup=False)
     if study.out is not None:
         options = {name: value for name, value in flat(study).items() if name not in ("out", "jobs")}
-        saved = {"schema": SCHEMA, "study": name, "command": command, "options": options, "seeds": done, **results}
+        saved = {"schema": SCHEMA, "study": name, "command": command, "options": options, unit: done, **results}
         write_whole(study.out, dump(plain(saved)))
         console.print(f"saved: {study.out}", soft_wrap=True, markup=False)
     if stopped:
         kept = "shown" if study.out is None else "shown and saved"
-        Console(stderr=True).print(f"interrupted after {done} of {asked} seeds; these are {kept}", soft_wrap=True)
+        Console(stderr=True).print(f"interrupted after {done} of {asked} {unit}; these are {kept}", soft_wrap=True)
     return 130 if stopped else 0
 
 

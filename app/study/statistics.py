@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam.types import Floats
+
 
 class Mean(NamedTuple):
     """The mean of independent runs."""
@@ -36,7 +38,7 @@ def _short(number: str) -> str:
     return sign + (digits[1:] if digits.startswith("0.") else digits)
 
 
-def mean(values: Sequence[float]) -> Mean:
+def mean(values: Sequence[float] | Floats) -> Mean:
     """Mean and standard error of values of independent runs."""
     array = np.asarray(values, float)
     error = float(np.std(array, ddof=1) / math.sqrt(len(array))) if len(array) > 1 else math.nan

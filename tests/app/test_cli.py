@@ -468,3 +468,18 @@ def test_known_association_wants_tags(capsys, tmp_path):
     complaint = refused(capsys, "run", tmp_path, "--association", "known")
     assert "--association is known, but nobody knows what was seen in victoria-park" in complaint
     assert "expected nearest or jcbb" in complaint
+
+
+def test_known_association_of_walls(capsys):
+    """What the beams met is known before any wall is extracted."""
+    assert cli.entry(["run", "loop", "--steps", "3", "--particles", "2", "--association", "known"]) == 0
+    assert "known association" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("blind", [["--noise.missing", "1"], ["--beams", "3"]])
+def test_a_run_that_sees_nothing_says_so(capsys, blind):
+    line = ["run", "loop", "--steps", "3", "--particles", "2", "--filters", "dfs", "fs2", "fs1", "ekf"]
+    assert cli.entry([*line, *blind]) == 0
+    assert "no wall was seen in any of these steps" in capsys.readouterr().out
+    assert cli.entry(line) == 0
+    assert "no wall was seen" not in capsys.readouterr().out

@@ -35,7 +35,9 @@ ORANGE = Style(of_filter("dfs"), 0, 1e-3)
 def info() -> SessionInfo:
     source = build("hospital")
     filters = [ESTIMATORS[key] for key in KEYS]
-    return session.make_info(source, filters, source.params(particles=K), seed=1, count=STEPS)
+    strict = {"temper": 1.0, "inflate_r": 1.0, "gate": 0.99, "gate_new": 0.999999, "floor_lateral": 0.005}
+    params = source.params(particles=K, floor_angle=math.radians(0.1), **strict)  # so that pieces are rejected, too
+    return session.make_info(source, filters, params, seed=1, count=STEPS)
 
 
 @pytest.fixture(scope="module")
@@ -397,7 +399,7 @@ def test_the_ellipse_is_seen_to_be_long_along_the_corridor(corridor: Viewer, nam
     rows, columns = np.nonzero(close(pixels(corridor.screenshot(view)), colours.mix(of_filter("dfs"), (255,) * 3, 0.6)))
     length, width = np.ptp(columns) + 1, np.ptp(rows) + 1
     whole = name == "/world"  # of 100 m: a centimetre is a tenth of a pixel, and half of its length lies under a dot
-    assert length > (2 if whole else 10) * width
+    assert length > (2 if whole else 4) * width
     assert length > (5 if whole else 60)
 
 
@@ -416,7 +418,7 @@ def test_pieces_and_scan_are_seen(corridor: Viewer):
     corridor.bring_to_front(view)
     picture = pixels(corridor.screenshot(view))
     assert close(picture, MATCHED).sum() > 50
-    assert close(picture, colours.faded(colours.WARNING, 0.4)).sum() > 20  # on top of the true walls
+    assert close(picture, colours.faded(colours.WARNING, 0.4)).sum() > 5  # on top of the true walls
 
 
 def test_associations_can_be_switched_on(corridor: Viewer):

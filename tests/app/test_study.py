@@ -87,6 +87,52 @@ def test_log_error(capsys, tmp_path):
     assert "dead reckoning" in capsys.readouterr().out
 
 
+def test_orthogonality(capsys, tmp_path):
+    """On the same data the constraint makes walls agree, and what is saved is what the runs came to."""
+    line = "orthogonality --world corridor --runs 2 --steps 20 --association known --jobs 1"
+    found = saved(tmp_path, *line.split())
+    rows = found["associations"]["known"]
+    assert set(rows) == {"free", "orthogonal"}
+    assert rows["free"]["nees_pose_by_step"][0] == rows["orthogonal"]["nees_pose_by_step"][0] > 0
+    assert rows["free"]["nees_pose_by_step"] != rows["orthogonal"]["nees_pose_by_step"]
+    for row in rows.values():
+        assert len(row["nees_pose_by_step"]) == 20
+        assert np.mean(row["runs"]["nees_pose"]) == pytest.approx(np.mean(row["nees_pose_by_step"]))
+        assert row["runs"]["wrong"] == [0, 0]
+        low, high = row["nees_pose_interval"]
+        assert row["inside"] == np.mean([low <= value <= high for value in row["nees_pose_by_step"]])
+        assert low < 3 < high
+    out = capsys.readouterr().out
+    assert "RMSE, m" in out
+    assert "2 of 2 seeds" in out
+
+
+def test_extraction(capsys, tmp_path):
+    line = "extraction --worlds loop hall --poses 40 --beams 181 --jobs 1"
+    found = saved(tmp_path, *line.split())
+    fine, coarse = found["lasers"]
+    assert (fine["range_noise_m"], coarse["range_noise_m"]) == (0.01, 0.05)
+    worlds = fine["worlds"]
+    assert set(worlds) == {"loop", "hall", "all"}
+    everything = worlds["all"]
+    assert everything["walls"] == worlds["loop"]["walls"] + worlds["hall"]["walls"] > 150
+    assert everything["found_percent"]["value"] >= 95
+    assert everything["false_percent"]["value"] <= 2
+    for name in ("lateral_variance", "angle_variance"):
+        assert 0.7 < everything[name]["value"] < 1.4
+        assert everything[name]["error"] < 0.15
+    assert coarse["worlds"]["all"]["found_percent"]["value"] < everything["found_percent"]["value"]
+    assert "4 of 4 worlds" in capsys.readouterr().out
+
+
+def test_extraction_of_nothing(tmp_path):
+    """Too few beams for a wall: no share, rather than one of zero."""
+    line = "extraction --worlds loop --poses 3 --beams 5 --range-noise 0.01 --jobs 1"
+    found = saved(tmp_path, *line.split())
+    assert found["lasers"][0]["worlds"]["loop"]["found_percent"] is None
+    assert found["lasers"][0]["worlds"]["loop"]["segments"] == 0
+
+
 def _interrupting(task: int) -> int:
     if task == 2:
         os.kill(os.getpid(), signal.SIGINT)

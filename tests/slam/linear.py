@@ -34,6 +34,10 @@ class Linear(NamedTuple):
         return ObservationNoise(np.tile(np.diag(variance), (len(z), 1, 1)), np.zeros((2, 2)))
 
     @staticmethod
+    def of_known(R: ObservationNoise, params: Params) -> ObservationNoise:
+        return ObservationNoise(params.inflate_r * R.sensor, R.model)
+
+    @staticmethod
     def total(feature: Any, R: Any, G_theta: Any, model: Any) -> Any:
         return R
 

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slam.perception import Extraction, extract
+from slam.perception.score import Score, total
+from slam.perception.score import score as score_scan
 from slam.types import UNKNOWN_TAG, Floats, Ints, Scan
 
 
@@ -112,69 +114,16 @@ def corridor(rng: np.random.Generator) -> tuple[Floats, Floats]:
 World = Callable[[np.random.Generator], tuple[Floats, Floats]]
 
 
-class Score(NamedTuple):
-    """Of many scans."""
-
-    walls: int
-    """Walls that at least 12 beams met, over at least the shortest length of a piece."""
-    found: int
-    short: int
-    """Walls that at least 12 beams met, over less."""
-    segments: int
-    false: int
-    lateral: Floats
-    angle: Floats
-    """(N,) errors / deviations of the segments that are not false."""
-    beams: Floats
-    """(N,) of how many beams those were made."""
-
-
-def errors(z: Floats, wall: Floats, pose: Floats) -> tuple[float, float]:
-    """(lateral [m], angle [rad]) of an observation from a robot at `pose` against the wall (4,)."""
-    c, q = math.cos(pose[2]), math.sin(pose[2])
-    x, y = pose[0] + c * z[0] - q * z[1], pose[1] + q * z[0] + c * z[1]
-    true = math.atan2(wall[3] - wall[1], wall[2] - wall[0])
-    angle = math.remainder(pose[2] + z[2] - true, math.pi)  # either way along it
-    phi = pose[2] + z[2] - angle
-    return -math.sin(phi) * (x - wall[0]) + math.cos(phi) * (y - wall[1]), angle
-
-
 def score(world: World, laser: Laser, scans: int, seed: int, settings: Extraction | None = None) -> Score:
     """Look at `scans` worlds, built by `world(rng)`, once each, with a laser in the origin of the robot."""
     rng = np.random.default_rng(seed)
     settings = settings or Extraction(quantum=laser.quantum)
-    walls_seen = found = short = false = 0
-    lateral, angle, beams = [], [], []
-    total = 0
+    scores = []
     for _ in range(scans):
         walls, place = world(rng)
         pose = np.array([*place, rng.uniform(-math.pi, math.pi)])
         scan = look(rng, walls, pose, laser)
-        tags = scan.walls
-        assert tags is not None
-        z, label = extract(scan, laser.sigma, settings)
-        total += len(z)
-        hit = set()
-        for i in range(len(z)):
-            own = tags[label == i]
-            tag = np.bincount(own).argmax()
-            e = np.array(errors(z[i], walls[tag], pose)) / np.sqrt(z[i, 5:7])
-            if 2 * np.sum(own == tag) <= len(own) or np.abs(e).max() > 6.0:
-                false += 1
-                continue
-            hit.add(tag)
-            lateral.append(e[0])
-            angle.append(e[1])
-            beams.append(z[i, 9])
         exact, _ = cast(walls, pose, laser.bearings)
-        for tag in np.unique(tags[tags >= 0]):
-            on = np.flatnonzero(tags == tag)
-            if len(on) < 12:
-                continue
-            along = math.atan2(walls[tag, 3] - walls[tag, 1], walls[tag, 2] - walls[tag, 0])
-            if np.ptp(exact[on] * np.cos(pose[2] + laser.bearings[on] - along)) < settings.shortest:
-                short += 1
-                continue
-            walls_seen += 1
-            found += tag in hit
-    return Score(walls_seen, found, short, total, false, np.array(lateral), np.array(angle), np.array(beams))
+        segments = extract(scan, laser.sigma, settings)
+        scores.append(score_scan(segments, scan, exact, np.arange(len(walls)), walls, pose, settings))
+    return total(scores)

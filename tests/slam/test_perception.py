@@ -12,8 +12,9 @@ from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH
 from slam.geometry import compose
 from slam.motion import Unicycle
 from slam.perception import Extraction, Segments, extract, perceive, tags_of
+from slam.perception.score import errors
 from slam.types import UNKNOWN_TAG, Floats, Frame, Noise, Params, Scan
-from tests.slam.rays import Laser, World, box, corridor, errors, look, path, room, score
+from tests.slam.rays import Laser, World, box, corridor, look, path, room, score
 
 ORIGIN = np.zeros(3)
 ALL_ROUND = Laser(360, 360.0)
