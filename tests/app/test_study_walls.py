@@ -109,17 +109,17 @@ def test_the_fewest_particles_close_every_run():
 
 
 def test_loop_closure(capsys, tmp_path):
-    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 20 --doors rooms --jobs 1 --seed 3"
+    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 30 --doors rooms --jobs 1 --seed 3"
     found = saved(tmp_path, *line.split())
     out = capsys.readouterr().out
-    for text in ("loop, doors rooms", "error [m]", "Dual FastSLAM closes all with 20 particles", "2 of 2 seeds"):
+    for text in ("loop, doors rooms", "error [m]", "Dual FastSLAM closes all with 30 particles", "2 of 2 seeds"):
         assert text in out
     assert f"dualslam study {line}" in out
     cells = {(cell["filter"], cell["particles"]): cell for cell in found["cells"]}
-    assert list(cells) == [("dfs", 2), ("dfs", 20), ("ekf", 1)]
-    dual = cells["dfs", 20]
+    assert list(cells) == [("dfs", 2), ("dfs", 30), ("ekf", 1)]
+    dual = cells["dfs", 30]
     assert dual["closed"] == sum(run["closed"] for run in dual["runs"]) == 2
-    assert found["fewest"]["dfs"] in (2, 20)
+    assert found["fewest"]["dfs"] in (2, 30)
     odometry = [[run["odometry_error_m"] for run in cell["runs"]] for cell in cells.values()]
     assert odometry[0] == odometry[1] == odometry[2]
     for run in dual["runs"]:
@@ -209,7 +209,7 @@ def test_rotation_spread(capsys, tmp_path):
     assert "Dual FastSLAM, reference" in out
     assert "2 of 2 seeds" in out
     cells = {(cell["filter"], cell["particles"]): cell for cell in found["cells"]}
-    assert list(cells) == [("dfs", 3), ("dfs", 20), ("fs2", 3), ("fs2", 20)]
+    assert list(cells) == [("dfs", 3), ("dfs", 30), ("fs2", 3), ("fs2", 20)]
     reference = [run["variance_m2"] for run in found["reference"]["runs"]]
     assert len(reference) == 2
     for along, across in reference:
@@ -218,5 +218,5 @@ def test_rotation_spread(capsys, tmp_path):
         variances = [run["variance_m2"] for run in cell["runs"]]
         np.testing.assert_allclose(cell["ratios"], np.sqrt(np.array(variances) / reference))
         assert cell["median_ratio"]["across"] == pytest.approx(np.median(np.array(cell["ratios"])[:, 1]))
-    np.testing.assert_allclose(cells["dfs", 20]["ratios"], 1.0)  # the reference itself
+    np.testing.assert_allclose(cells["dfs", 30]["ratios"], 1.0)  # the reference itself
     assert not np.allclose(cells["fs2", 20]["ratios"], 1.0)
