@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes
 
 from app import session, values
 from app.errors import UsageError
-from app.options import FILTERS, WorldNoise
+from app.options import FILTERS
 from app.study.jobs import run_all
-from app.study.output import TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
+from app.study.output import TITLES, RunsOption, begin, empty_table, finish
 from app.study.statistics import Mean
-from app.study.tuning import Tuning, tuned
+from app.study.walls import WallStudy, tuned
 from app.types import SessionInfo, SessionStep
-from scenarios.floorplan import DoorKind
 from scenarios.registry import build
 from scenarios.types import Source
 from slam.limits import PARAMS, Interval
@@ -61,7 +59,7 @@ class Spread(NamedTuple):
 
 
 @dataclass(frozen=True)
-class CorridorSpread:
+class CorridorSpread(WallStudy):
     """What a filter says of its error in a corridor, beside what it is, over seeds.
 
     Nothing tells how far along the corridor the robot is before the far wall is in view, 8 m from it: no distance may
@@ -78,18 +76,8 @@ class CorridorSpread:
         DISTANCES
     )
     """[m] driven; deviations are taken at the first step that has come so far."""
-    doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
-    """The doors of the corridor."""
     far_end: Annotated[str, values.choice("--far-end", get_args(EndName))] = "wall"
     """What it ends in; an open one is never seen."""
-    seed: SeedOption = 0
-    """The first seed."""
-    jobs: JobsOption = None
-    """Processes; results do not depend on it."""
-    out: OutOption = None
-    """Deviations, ratios and every single run."""
-    tuning: OmitArgPrefixes[Tuning] = field(default_factory=Tuning)
-    noise: WorldNoise = field(default_factory=WorldNoise)
 
     def __call__(self, command: str) -> int:
         """Run, print, save; returns the exit code."""

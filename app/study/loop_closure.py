@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes
 
 from app import session, values
-from app.options import FILTERS, WorldNoise
+from app.options import FILTERS
 from app.study.jobs import run_all
-from app.study.output import MEDIANS, TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
+from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish
 from app.study.statistics import spread
-from app.study.tuning import Tuning, tuned
+from app.study.walls import WallStudy, settings, tuned
 from app.types import FilterUpdate, SessionInfo, SessionStep
-from scenarios.floorplan import DoorKind
 from scenarios.registry import build
 from scenarios.types import Source
 from slam.geometry import compose, invert, wrap
@@ -69,7 +67,7 @@ class Outcome(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LoopClosure:
+class LoopClosure(WallStudy):
     """Who closes the loop of walls, with how many particles.
 
     The second pass over the start is the way from the start to the first corner, once round.  A wall is one of the
@@ -86,16 +84,6 @@ class LoopClosure:
     """Some of dfs, fs2, fs1, ekf."""
     particles: Annotated[tuple[int, ...], values.wholes("--particles", "K ...", PARAMS["particles"])] = (30,)
     """Numbers of particles."""
-    doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
-    """The doors of the corridor."""
-    seed: SeedOption = 0
-    """The first seed."""
-    jobs: JobsOption = None
-    """Processes; results do not depend on it."""
-    out: OutOption = None
-    """Medians and every single run."""
-    tuning: OmitArgPrefixes[Tuning] = field(default_factory=Tuning)
-    noise: WorldNoise = field(default_factory=WorldNoise)
 
     def __call__(self, command: str) -> int:
         """Run, print, save; returns the exit code."""
@@ -104,8 +92,7 @@ class LoopClosure:
         tasks = [
             Task(self, key, particles, seed)
             for seed in range(self.seed, self.seed + self.runs)
-            for key in self.filters
-            for particles in (dict.fromkeys(self.particles) if key != "ekf" else (1,))
+            for key, particles in settings(self.filters, self.particles)
         ]
         found, stopped = run_all(one_run, tasks, jobs, "loop-closure")
         cells: dict[tuple[str, int], list[Outcome]] = {}

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes
 
 from app import session, values
-from app.options import FILTERS, WorldNoise
+from app.options import FILTERS
 from app.study.corridor_spread import DeviationWatch, Outcome
 from app.study.jobs import run_all
-from app.study.output import MEDIANS, TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
+from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish
 from app.study.statistics import spread
-from app.study.tuning import Tuning, tuned
-from scenarios.floorplan import DoorKind
+from app.study.walls import WallStudy, settings, tuned
 from scenarios.registry import build
 from scenarios.types import Source
 from slam.limits import PARAMS
@@ -39,7 +37,7 @@ class Task(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RotationSpread:
+class RotationSpread(WallStudy):
     """Deviations at the end of rotation-then-corridor, along and across the true corridor, against a reference.
 
     The reference is Dual FastSLAM with very many particles on the same seed, that is with the same odometry and the
@@ -56,33 +54,19 @@ class RotationSpread:
     """Numbers of particles."""
     reference: Annotated[int, values.whole("--reference", "K", PARAMS["particles"])] = 3000
     """Particles of the reference."""
-    doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
-    """The doors of the corridor."""
-    seed: SeedOption = 0
-    """The first seed."""
-    jobs: JobsOption = None
-    """Processes; results do not depend on it."""
-    out: OutOption = None
-    """Deviations, ratios and every single run."""
-    tuning: OmitArgPrefixes[Tuning] = field(default_factory=Tuning)
-    noise: WorldNoise = field(default_factory=WorldNoise)
 
     def __call__(self, command: str) -> int:
         """Run, print, save; returns the exit code."""
         jobs = begin(self.out, self.jobs)
         tuned(_source(self.doors), self.tuning, 1, self.noise)  # complain now of what does not apply
         seeds = range(self.seed, self.seed + self.runs)
-        settings = [
-            (key, particles)
-            for key in self.filters
-            for particles in (dict.fromkeys(self.particles) if key != "ekf" else (1,))
-        ]
-        each = [(REFERENCE, self.reference), *settings]
+        asked = settings(self.filters, self.particles)
+        each = [(REFERENCE, self.reference), *asked]
         tasks = [Task(self, *setting, seed) for seed in seeds for setting in each]
         found, stopped = run_all(one_run, tasks, jobs, "rotation-spread")
         whole = len(found) // len(each)  # seeds of which everything was run
         reference, *others = (found[at : whole * len(each) : len(each)] for at in range(len(each)))
-        cells = dict(zip(settings, others, strict=True)) if whole else {}
+        cells = dict(zip(asked, others, strict=True)) if whole else {}
         tables = [self._table(reference, cells)] if cells else []
         results = {
             "reference": {"particles": self.reference, "runs": [outcome._asdict() for outcome in reference]},

@@ -1,12 +1,17 @@
-"""What the studies of walls let be changed in the filters, and what the world then is."""
+"""What the studies of walls have in common: what may be changed in the filters and in the world."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Annotated, get_args
+
+from tyro.conf import OmitArgPrefixes
 
 from app import values
 from app.options import BelievedNoise, FilterOptions, WorldNoise, default, parameters
+from app.study.output import JobsOption, OutOption, SeedOption
+from scenarios.floorplan import DoorKind
 from scenarios.types import Source
 from slam.limits import PARAMS
 from slam.types import AssociationName, Noise, Params, WeightingName
@@ -30,6 +35,27 @@ class Tuning:
     """Deviation that a known wall is allowed, added to R."""
     floor_angle: Annotated[float | None, values.real("--floor-angle", "DEG", PARAMS["floor_angle"]), _OWN] = None
     """The same of its angle."""
+
+
+@dataclass(frozen=True)
+class WallStudy:
+    """The options that every study of corridors has."""
+
+    doors: Annotated[str, values.choice("--doors", get_args(DoorKind))] = "closed"
+    """The doors of the corridor."""
+    seed: SeedOption = 0
+    """The first seed."""
+    jobs: JobsOption = None
+    """Processes; results do not depend on it."""
+    out: OutOption = None
+    """What the tables show, and every single run."""
+    tuning: OmitArgPrefixes[Tuning] = field(default_factory=Tuning)
+    noise: WorldNoise = field(default_factory=WorldNoise)
+
+
+def settings(filters: Iterable[str], particles: Iterable[int]) -> list[tuple[str, int]]:
+    """Every filter with every number of particles; EKF-SLAM has one."""
+    return [(key, K) for key in filters for K in (dict.fromkeys(particles) if key != "ekf" else (1,))]
 
 
 def tuned(source: Source, tuning: Tuning, particles: int, noise: WorldNoise) -> tuple[Noise, Params]:
