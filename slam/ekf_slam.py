@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam._jit import inline, kernel
-from slam.association import candidates, ignore_gate
+from slam.association import by_tag, candidates, ignore_gate
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
 from slam.features import Wall, compatible, draw, innovation, inverse, total
@@ -79,7 +79,7 @@ def associate_joint(state: EkfState, frame: Frame, R: ObservationNoise, params: 
     """n (1, Z) as `slam.association.associate`, with the joint covariance of all innovations."""
     maps = state.particles.maps
     if params.association == "known":
-        n = maps.find(frame.tags)
+        n = by_tag(maps, frame.tags)
         if params.gate_known < 1.0 and maps.counts[0]:
             gate, theta = chi_square_gates(params.gate_known, 1)[1], maps.features(0)[0]
             _ignore_outliers(frame.feature, state.particles.s[0], theta, state.covariance, frame.z, R, gate, n[0])

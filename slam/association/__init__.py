@@ -22,7 +22,7 @@ from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibili
 from slam.association.nearest import nearest_first, slot_for
 from slam.features import compatible, innovation, region, total
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
-from slam.map_store import FAN, LEAF, leaf_of, search
+from slam.map_store import FAN, LEAF, Maps, leaf_of, search
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
 
 MAX_CANDIDATES = 8
@@ -46,8 +46,7 @@ def associate(particles: Particles, frame: Frame, R: ObservationNoise, params: P
 def _associated(particles: Particles, frame: Frame, R: ObservationNoise, params: Params) -> Ints:
     maps = particles.maps
     if params.association == "known":
-        n = maps.find(frame.tags)
-        n[:, frame.tags == UNKNOWN_TAG] = IGNORED
+        n = by_tag(maps, frame.tags)
         if params.gate_known < 1.0:
             theta, Sigma = maps.take(n)
             gate = chi_square_gates(params.gate_known, 1)[1]
@@ -63,6 +62,13 @@ def _associated(particles: Particles, frame: Frame, R: ObservationNoise, params:
             pool, maps.roots, maps.counts, maps.depth, frame.feature, particles.s, particles.P, frame.z, R, gates,
             ignore_gate(params), joint, work, n,
         )  # fmt: skip
+    return n
+
+
+def by_tag(maps: Maps, tags: Ints) -> Ints:
+    """n (K, Z) of known association; what nobody knows is IGNORED, rather than new at every sight."""
+    n = maps.find(tags)
+    n[:, tags == UNKNOWN_TAG] = IGNORED
     return n
 
 

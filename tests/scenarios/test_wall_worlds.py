@@ -1,5 +1,6 @@
 """Every world of walls: exact, passable, and what its options promise."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -12,11 +13,12 @@ from scenarios.noise import add_noise
 from scenarios.preview import preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.route import drive
-from scenarios.simulate import increments
+from scenarios.simulate import increments, simulate
 from scenarios.types import Source, SourceError
 from scenarios.world import lengths
 from slam.features import Wall
 from slam.motion import Odometry
+from slam.presets import BUILDING
 from slam.types import UNKNOWN_TAG
 
 WORLDS = [name for name, entry in worlds().items() if "walls" in entry.features]
@@ -126,6 +128,23 @@ def test_loop_is_about_100_m_and_comes_back() -> None:
     assert all(view <= set().union(*views[: back - 60]) for view in views[back:])
     twice = build("loop", laps=2.0)
     assert len(twice.steps) == pytest.approx(2 * 0.77 * len(source.steps), rel=0.03)
+
+
+def test_where_the_loop_starts() -> None:
+    """Before the first corner, where its last wall is in sight."""
+    assert build("loop").start.tolist() == [9.0, 0.0, 0.0]
+    assert build("loop", start=2.5).start.tolist() == [12.5, 0.0, 0.0]
+    assert build("loop", features="landmarks").start.tolist() == [0.0, 0.0, 0.0]
+    with pytest.raises(SourceError, match=r"start is 0\.5.*expected"):
+        build("loop", start=0.5)
+
+
+def test_worlds_of_walls_believe_what_suits_walls() -> None:
+    for name in WORLDS:
+        assert build(name).defaults == BUILDING
+    assert build("corridor", features="landmarks").defaults == {}
+    own = dataclasses.replace(scenario("corridor"), defaults={"temper": 0.5})
+    assert simulate(own).defaults == {**BUILDING, "temper": 0.5}
 
 
 def test_loop_has_something_to_see_all_the_way() -> None:

@@ -14,7 +14,7 @@ from slam.limits import PARAMS
 from slam.motion import Unicycle
 from slam.phases import initial, resize
 from slam.resampling import SCHEMES
-from slam.types import IGNORED, NEW, Frame, Noise, Params
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Frame, Noise, Params
 
 ALL = list(ESTIMATORS)
 SENSOR = Noise(speed=0.0, turn=0.0, range=0.1, bearing=0.05)
@@ -34,6 +34,14 @@ def second_step(key: str, second: Frame, first: Frame | None = None, **changes: 
     state = estimator.init(Point(), np.zeros(3), np.zeros((3, 3)), plain)
     state, _ = estimator.step(rng, state, first or seen([5.0]), plain)
     return estimator.step(rng, state, second, Params(**{**vars(plain), **changes}))[1]
+
+
+@pytest.mark.parametrize("key", ALL)
+def test_known_association_ignores_what_nobody_knows(key: str) -> None:
+    """Rather than map it anew at every sight of it."""
+    trace = second_step(key, seen([5.0, 7.0], [0, UNKNOWN_TAG]))
+    assert trace.n[0].tolist() == [0, IGNORED]
+    assert trace.resampled.maps.counts[0] == 1
 
 
 @pytest.mark.parametrize("association", ["nearest", "jcbb"])

@@ -125,6 +125,18 @@ def test_the_floor_grows_with_the_distance_along_the_wall() -> None:
 ORIGIN, CERTAIN = np.zeros(3), np.zeros((3, 3))
 
 
+def test_a_new_wall_is_drawn_with_less_than_a_known_one_is_allowed() -> None:
+    z = np.stack([piece(1, 2, 0.3)])
+    params = Params(floor_lateral=0.04, floor_angle=0.01, inflate_r=9.0)
+    honest = Wall.believed(z, params)
+    np.testing.assert_allclose(honest.model, np.diag([0.005**2, math.radians(0.05) ** 2]))
+    known = Wall.of_known(honest, params)
+    np.testing.assert_allclose(known.sensor, 9.0 * honest.sensor)
+    np.testing.assert_allclose(known.model, np.diag([0.12**2, 0.03**2]))
+    tight = Wall.believed(z, Params(floor_lateral=0.001, floor_angle=1e-5))
+    np.testing.assert_allclose(tight.model, np.diag([1e-6, 1e-10]))
+
+
 def may_be(theta: Floats, z: Floats, P: Floats = CERTAIN, s: Floats = ORIGIN) -> bool:
     return bool(compatible(WALL, theta, s, P, z))
 
