@@ -240,6 +240,9 @@ def test_a_preset_comes_between_the_source_and_what_is_given():
     source = dataclasses.replace(build("paper-line"), defaults={"temper": 0.1, "inflate_r": 9.0})
     _, params = parameters(source, FilterOptions(preset="paper", inflate_r=2.0), WorldNoise(), BelievedNoise())
     assert (params.temper, params.inflate_r) == (1.0, 2.0)
+    of_landmarks = build("loop", features="landmarks")
+    _, params = parameters(of_landmarks, FilterOptions(preset="building", gate=0.9), WorldNoise(), BelievedNoise())
+    assert (params.temper, params.inflate_r, params.gate, params.gate_new) == (0.1, 9.0, 0.9, 0.99999999)
 
 
 def test_the_world_may_stand_behind_the_filters():
