@@ -18,7 +18,7 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.association.jcbb import chi_square_gates
-from slam.features import draw, extend, innovation, inverse, total
+from slam.features import draw, extend, innovation, inverse, measurement, observable, total
 from slam.geometry import wrap
 from slam.linalg import (
     LOG_TWO_PI,
@@ -184,8 +184,7 @@ def _weigh(feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any,
         for i in range(len(z)):
             Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
-                v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                Ri = total(feature, Ri, G_theta, model)
+                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], Ri, model)
                 V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
                 log_p[k, i] = log_density(v, V)
             else:
@@ -232,8 +231,7 @@ def _update_pose(
         for i in range(len(z)):
             Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
-                v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                Ri = total(feature, Ri, G_theta, model)
+                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], Ri, model)
                 R_total = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
                 V = add22(sandwich23(G_s, Pk), R_total)
                 log_p[k, i] = log_density(v, V)
@@ -272,8 +270,7 @@ def _linearised_at(
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
-                v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
+                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], load22(R.sensor[i]), model)
                 S = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
                 V = add22(sandwich23(G_s, Pk), S)
                 if log_density(v, V) > -np.inf:  # as in `_update_pose`
@@ -421,6 +418,7 @@ def _draw_features(
                 for m in range(len(theta)):
                     theta_out[k, i, m] = theta[m]
                 v, G_s, _ = innovation(feature, theta, sk, z[i])
+                G_s = observable(feature, sk, Pk, z[i], v, G_s, Ri)
                 V = add22(sandwich23(G_s, Pk), Ri)
                 if log_density(v, V) > -np.inf:
                     sk, Pk = kalman_pose(sk, Pk, v, G_s, Ri, V)

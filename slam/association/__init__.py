@@ -20,7 +20,7 @@ import numpy as np
 from slam._jit import inline, kernel
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import compatible, innovation, region, total
+from slam.features import compatible, measurement, region
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
 from slam.map_store import FAN, LEAF, Maps, leaf_of, search
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
@@ -120,8 +120,7 @@ def _ignore_outliers(feature: Any, s: Any, P: Any, theta: Any, Sigma: Any, z: An
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
-                v, G_s, G_theta = innovation(feature, theta[k, i], sk, z[i])
-                Ri = total(feature, load22(R.sensor[i]), G_theta, model)
+                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], load22(R.sensor[i]), model)
                 V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
                 if not distance2(v, V) <= gate:
                     n[k, i] = IGNORED
@@ -153,9 +152,8 @@ def _associate(
                 row = pool.data[leaf_of(pool, roots[k], depth, j), j & (LEAF - 1)]
                 if not compatible(feature, row, sk, Pk, z[i]):
                     continue
-                vj, G_s, G_theta = innovation(feature, row, sk, z[i])  # (23, 24)
+                vj, G_s, G_theta, Rj = measurement(feature, row, sk, Pk, z[i], Ri, model)  # (23, 24)
                 Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-                Rj = total(feature, Ri, G_theta, model)
                 Vj = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, Sigma)), Rj)
                 distance = distance2(vj, Vj)  # (25)
                 nearest[i] = min(nearest[i], distance)
@@ -201,9 +199,9 @@ def _may_be_known(
         row = pool.data[leaf_of(pool, root, depth, j), j & (LEAF - 1)]
         if not compatible(feature, row, s, P, z):
             continue
-        v, G_s, G_theta = innovation(feature, row, s, z)
+        v, G_s, G_theta, R_total = measurement(feature, row, s, P, z, R, model)
         Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-        V = add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), total(feature, R, G_theta, model))
+        V = add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), R_total)
         if distance2(v, V) <= ignore:
             return True
     return False

@@ -7,6 +7,8 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
     inverse(feature, s, z)           -> theta (D,), F_s (2, 3), F_z (2, 2)
     draw(feature, theta, delta)      -> theta displaced by delta (2,) in the two coordinates that are uncertain
     total(feature, R, G_theta, model)-> R of an observation that is paired with a feature: with the error of the model
+    observable(feature, s, P, z, v, G_s, R)
+                                     -> G_s for a map that is frozen, of which it says nothing that z does not show
     extent(feature, theta)           -> (x_min, y_min, x_max, y_max) [m], for the search over the map
     spread(feature, theta, Sigma)    -> the largest deviation [m] that Sigma gives any part of it, for the search
     compatible(feature, theta, s, P, z)
@@ -30,6 +32,7 @@ from typing import Any
 
 from numba.extending import overload
 
+from slam._jit import inline
 from slam.features.point import Point
 from slam.features.wall import Wall
 
@@ -42,6 +45,8 @@ __all__ = [
     "extent",
     "innovation",
     "inverse",
+    "measurement",
+    "observable",
     "region",
     "spread",
     "total",
@@ -51,6 +56,11 @@ __all__ = [
 def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
     """v (2,), G_s (2, 3), G_theta (2, 2) of one observation paired with one feature (23, 24)."""
     return type(feature).innovation(feature, theta, s, z)
+
+
+def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
+    """G_s (2, 3) that gives a particle N(s, P) no information on what z does not show."""
+    return type(feature).observable(feature, s, P, z, v, G_s, R)
 
 
 def inverse(feature: Any, s: Any, z: Any) -> Any:
@@ -98,6 +108,11 @@ def _innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
     return feature.instance_class.innovation
 
 
+@overload(observable)
+def _observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
+    return feature.instance_class.observable
+
+
 @overload(inverse)
 def _inverse(feature: Any, s: Any, z: Any) -> Any:
     return feature.instance_class.inverse
@@ -136,3 +151,11 @@ def _extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
 @overload(region)
 def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     return feature.instance_class.region
+
+
+@inline
+def measurement(feature: Any, theta: Any, s: Any, P: Any, z: Any, R: Any, model: Any) -> Any:
+    """v, G_s, G_theta and R (2, 2) in all, of one observation of a feature of a particle's map, its pose N(s, P)."""
+    v, G_s, G_theta = innovation(feature, theta, s, z)
+    R = total(feature, R, G_theta, model)
+    return v, observable(feature, s, P, z, v, G_s, R), G_theta, R

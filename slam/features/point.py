@@ -62,6 +62,11 @@ class Point(NamedTuple):
         return v, G_s, G_theta
 
     @staticmethod
+    def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
+        """As it is: a point is observed in all its coordinates."""
+        return G_s
+
+    @staticmethod
     def inverse(feature: Any, s: Any, z: Any) -> Any:
         """theta = f(s, z) (33) and its Jacobians F_s, F_z (35)."""
         c, q = math.cos(s[2] + z[1]), math.sin(s[2] + z[1])

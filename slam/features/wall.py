@@ -43,14 +43,21 @@ def _placed(s: Any, x: Any, y: Any) -> Any:
     return s[0] + c * x - q * y, s[1] + q * x + c * y
 
 
+@inline
+def _offset_row(phi: Any, dx: Any, dy: Any) -> Any:
+    """How the lateral offset from a wall along phi, of what is (dx, dy) from the robot, changes with the pose."""
+    c, q = math.cos(phi), math.sin(phi)
+    return -q, c, q * dy + c * dx
+
+
 class Wall(NamedTuple):
-    """State theta (8,) and observation z (10,).
+    """State theta (8,) and observation z (11,).
 
     theta = (x, y, phi, a, b, end_a, end_b, seen): the frame in the world [m, m, rad], the ends a <= b along its x axis
     [m], 1 for each end that is known to be one and 0 for one that is only as far as anybody saw, and how often the wall
-    was seen.  z = (x, y, phi, a, b, var_lateral, var_angle, end_a, end_b, beams): the same of the piece that is seen,
-    in the robot's frame, with the variances of its two observable coordinates [m^2, rad^2], why it ends
-    (`HIDDEN` ...), and from how many beams it was made.
+    was seen.  z = (x, y, phi, a, b, var_lateral, var_angle, end_a, end_b, beams, axis): the same of the piece that is
+    seen, in the robot's frame, with the variances of its two observable coordinates [m^2, rad^2], why it ends
+    (`HIDDEN` ...), from how many beams it was made, and its direction [rad] by all pieces that are parallel to it.
     """
 
     slack: float = 0.5
@@ -59,7 +66,7 @@ class Wall(NamedTuple):
     """[rad] that a piece and its wall may differ by: which side is seen is never in doubt."""
 
     dim = 8
-    observation = 10
+    observation = 11
     grows = True
 
     @staticmethod
@@ -76,8 +83,7 @@ class Wall(NamedTuple):
         """`inflate_r` times it, with the floors whole (ours).
 
         A frozen wall is as wrong for ever as when it was drawn.  To believe a few millimetres of it makes a particle
-        lose walls that it knows, and lets two walls whose angles are frozen a little wrong say where along the
-        corridor the robot is, which neither of them knows.
+        lose walls that it knows.
         """
         model = np.diag([params.floor_lateral**2, params.floor_angle**2])
         return ObservationNoise(params.inflate_r * R.sensor, params.inflate_r * model)
@@ -100,18 +106,31 @@ class Wall(NamedTuple):
         dx, dy = px - theta[0], py - theta[1]
         t = c * dx + q * dy  # where along the wall
         v = (q * dx - c * dy, wrap(theta[2] - s[2] - z[2]))
-        G_s = ((-q, c, q * (py - s[1]) + c * (px - s[0])), (0.0, 0.0, 1.0))
+        G_s = (_offset_row(theta[2], px - s[0], py - s[1]), (0.0, 0.0, 1.0))
         G_theta = ((-1.0, -t), (0.0, -1.0))
         return v, G_s, G_theta
+
+    @staticmethod
+    def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
+        """The lateral row of G_s is that of a wall along the direction that is seen (ours).
+
+        The walls of a particle's map are frozen a little wrong.  Two parallel walls at different angles would say where
+        along the corridor the robot is, which neither of them knows.  All parallel pieces of a scan have the same
+        `axis`, and the heading as the piece's own angle corrects it turns that into the world: so what cannot be
+        observed gains no information, which is the rule of G. P. Huang, A. I. Mourikis, S. I. Roumeliotis,
+        "Observability-based rules for designing consistent EKF SLAM estimators", Int. J. Robotics Research 29(5), 2010.
+        """
+        known = P[2][2] / (P[2][2] + R[1][1]) if P[2][2] > 0.0 else 0.0
+        px, py = _placed(s, z[0], z[1])
+        return _offset_row(s[2] + known * v[1] + z[10], px - s[0], py - s[1]), G_s[1]
 
     @staticmethod
     def inverse(feature: Any, s: Any, z: Any) -> Any:
         """theta = s (+) z (33); F_s, F_z (35) of its lateral offset and angle: its place along itself is no matter."""
         px, py = _placed(s, z[0], z[1])
         phi = wrap(s[2] + z[2])
-        c, q = math.cos(phi), math.sin(phi)
         theta = (px, py, phi, z[3], z[4], 1.0 if z[7] >= EDGE else 0.0, 1.0 if z[8] >= EDGE else 0.0, 1.0)
-        F_s = ((-q, c, q * (py - s[1]) + c * (px - s[0])), (0.0, 0.0, 1.0))
+        F_s = (_offset_row(phi, px - s[0], py - s[1]), (0.0, 0.0, 1.0))
         return theta, F_s, ((1.0, 0.0), (0.0, 1.0))
 
     @staticmethod

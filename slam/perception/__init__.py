@@ -11,7 +11,7 @@ __all__ = ["STANDARD", "Extraction", "Segments", "extract", "perceive", "tags_of
 
 
 def perceive(frame: Frame, params: Params, settings: Extraction = STANDARD) -> Frame:
-    """The frame with z (Z, 10), the walls that its scan shows as `slam.features.wall` has them, and their tags (Z,).
+    """The frame with z (Z, 11), the walls that its scan shows as `slam.features.wall` has them, and their tags (Z,).
 
     A frame without a scan is returned as it is.
     """

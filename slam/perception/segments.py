@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam._jit import inline, kernel
-from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, SAME_END
+from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, SAME_END, STRAIGHT
 from slam.geometry import TWO_PI, compose
 from slam.types import Floats, Ints, Scan
 
@@ -69,6 +69,9 @@ YOUNG = 16
 SAME_LINE = 9.21
 """The squared deviations that two pieces may add when put on one line: 99 % of chi-square, two degrees of freedom."""
 
+PARALLEL = 3.0
+"""Deviations of the difference of two directions within which two pieces of a scan are taken to be parallel."""
+
 PASSES = 7
 """Over the beams of a line."""
 
@@ -89,7 +92,7 @@ class Segments(NamedTuple):
     """What a scan shows of walls, longest first."""
 
     z: Floats
-    """(Z, 10) observations as in `slam.features.wall`, in the robot's frame."""
+    """(Z, 11) observations as in `slam.features.wall`, in the robot's frame."""
     label: Ints
     """(B,) row of z that a beam was used for, -1 for none."""
 
@@ -102,7 +105,7 @@ def extract(scan: Scan, sigma: float, settings: Extraction = STANDARD) -> Segmen
     label = np.full(len(scan.ranges), -1)
     beams, step, closed = _returns(scan)
     if len(beams) < settings.fewest:
-        return Segments(np.zeros((0, 10)), label)
+        return Segments(np.zeros((0, 11)), label)
     variance = max(sigma, SMALLEST) ** 2 + settings.quantum**2 / 12.0
     r, theta = scan.ranges[beams].astype(float), scan.bearings[beams].astype(float)
     broken, start = _breaks(r, theta, step, closed, math.sqrt(variance), settings)
@@ -135,7 +138,21 @@ def extract(scan: Scan, sigma: float, settings: Extraction = STANDARD) -> Segmen
     label[beams] = row[member]
     z = lines[kept, :10]
     z[:, :3] = compose(scan.origin, z[:, :3])
-    return Segments(z, label)
+    return Segments(np.column_stack([z, shared_directions(z[:, 2], z[:, 6])]), label)
+
+
+def shared_directions(phi: Floats, variance: Floats) -> Floats:
+    """(Z,) [rad] the direction of each piece by all that may be parallel to it, whichever side of a wall they show.
+
+    phi (Z,) [rad] and variance (Z,) [rad^2] are those of the pieces alone.  The mean of those that are within
+    `PARALLEL` deviations, weighted by how well each knows its own, no better than a wall is straight.  So a door that
+    is seen at half a degree has the direction of the wall it is in.
+    """
+    variance = variance + STRAIGHT[1] ** 2
+    away = phi[None, :] - phi[:, None]
+    away -= math.pi * np.round(away / math.pi)
+    weight = (away**2 <= PARALLEL**2 * (variance[:, None] + variance)) / variance
+    return phi + np.sum(weight * away, axis=1) / np.sum(weight, axis=1)
 
 
 def _returns(scan: Scan) -> tuple[Ints, float, bool]:

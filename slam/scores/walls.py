@@ -49,7 +49,7 @@ def duplicates(theta: Floats, tags: Ints) -> float:
 
 
 def held(feature: Any, theta: Floats, map_tags: Ints, s: Floats, z: Floats, tags: Ints) -> Bools:
-    """(Z,) whether a feature (n, 8) of the tag lies where the piece z (Z, 10) is, or ends less than the slack away.
+    """(Z,) whether a feature (n, 8) of the tag lies where the piece z (Z, 11) is, or ends less than the slack away.
 
     The first sight of another part of a long wall is something new.
     """

@@ -206,7 +206,7 @@ def test_associations_join_every_matched_piece_with_its_wall(recorded, key):
 
 def test_an_association_ends_where_the_wall_does():
     wall = np.array([[0.0, 0.0, math.pi / 2, -1.0, 2.0, 1.0, 1.0, 5.0]])  # along x = 0, from y = -1 to 2
-    z = np.zeros((2, 10))
+    z = np.zeros((2, 11))
     z[:, :3] = [[0.1, 2.5, math.pi / 2], [-0.2, 1.0, math.pi / 2]]
     frame = build("corridor").steps[0].frame._replace(z=z)
     drawn = walls.observations(frame, np.zeros(3), np.array([0, 0]), wall, ORANGE)["associations"][0]
@@ -331,7 +331,7 @@ def test_nothing_seen(info, tmp_path):
     """No scan at all, a scan of nothing, and nobody who knows where the robot is."""
     recorder = Recorder(tmp_path / "a.rrd")
     recorder.begin(info)
-    nothing = np.zeros((0, 10))
+    nothing = np.zeros((0, 11))
     for step in session.steps(info._replace(steps=3)):
         scan = None if step.index == 1 else step.frame.scan._replace(ranges=np.full(181, math.inf))
         frame = step.frame._replace(scan=scan, z=nothing, tags=np.zeros(0, np.int64))

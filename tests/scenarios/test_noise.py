@@ -97,7 +97,7 @@ def scanned(beams: int, distance: float = 4.0, max_range: float = 8.0) -> Frame:
     ranges = np.where(walls == 7, distance, np.inf)
     scan = Scan(ranges, np.linspace(-1, 1, beams), np.zeros(3), max_range, walls)
     u = np.array([[0.4, 0.0, 0.1]])
-    return Frame(1.0, Odometry(), u, np.array([0.5]), Wall(), np.empty((0, 10)), np.empty(0, np.int64), scan)
+    return Frame(1.0, Odometry(), u, np.array([0.5]), Wall(), np.empty((0, 11)), np.empty(0, np.int64), scan)
 
 
 def noisy_scan(frame: Frame, noise: Noise, seed: int = 0) -> Scan:
@@ -149,7 +149,7 @@ def test_no_noise_changes_no_scan(name: str) -> None:
         np.testing.assert_array_equal(noisy.u, frame.u)
         for a, b in zip(noisy.scan, frame.scan, strict=True):
             np.testing.assert_array_equal(a, b)
-        assert noisy.z.shape == (0, 10)
+        assert noisy.z.shape == (0, 11)
 
 
 def test_a_reading_is_neither_negative_nor_beyond_the_reach() -> None:

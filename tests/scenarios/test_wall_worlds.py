@@ -71,7 +71,7 @@ def test_a_wall_world_is_what_it_should_be(name: str, options: dict[str, Any]) -
         assert frame.time == pytest.approx(elapsed, abs=1e-9)
         assert isinstance(frame.feature, Wall)
         assert (frame.u.shape, frame.dt.shape) == ((1, 3), (1,))
-        assert (frame.z.shape, frame.tags.shape) == ((0, 10), (0,))
+        assert (frame.z.shape, frame.tags.shape) == ((0, 11), (0,))
         assert frame.scan is not None
         assert frame.scan.walls is not None
         assert frame.scan.max_range == source.max_range

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from slam.features import Wall
-from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH
+from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, STRAIGHT
 from slam.geometry import compose
 from slam.motion import Unicycle
 from slam.perception import Extraction, Segments, extract, perceive, tags_of
 from slam.perception.score import errors
+from slam.perception.segments import shared_directions
 from slam.types import UNKNOWN_TAG, Floats, Frame, Noise, Params, Scan
 from tests.slam.rays import Laser, World, box, corridor, look, path, room, score
 
@@ -313,7 +314,7 @@ def test_the_backs_of_two_recesses_are_two() -> None:
 
 
 def frame(scan: Scan | None) -> Frame:
-    z, tags = np.zeros((1, 10)), np.array([7])
+    z, tags = np.zeros((1, 11)), np.array([7])
     return Frame(0.0, Unicycle(), np.zeros((0, 2)), np.zeros(0), Wall(), z, tags, scan)
 
 
@@ -330,7 +331,7 @@ def test_a_frame_gets_what_its_scan_shows() -> None:
     assert after.tags.dtype == np.int64
     assert perceive(frame(scan), Params(believed=Noise(range=0.02))).z[0, 5] > 1.5 * after.z[0, 5]
     nothing = perceive(frame(scan._replace(ranges=np.full(360, np.inf))), Params())
-    assert nothing.z.shape == (0, 10)
+    assert nothing.z.shape == (0, 11)
     assert nothing.tags.shape == (0,)
 
 
@@ -343,7 +344,8 @@ def test_the_laser_stands_on_the_robot() -> None:
         at_laser = extract(scan._replace(origin=ORIGIN), 0.01).z
         z, label = extract(scan, 0.01)
         np.testing.assert_allclose(z[:, :3], compose(origin, at_laser[:, :3]), atol=1e-12)
-        np.testing.assert_array_equal(z[:, 3:], at_laser[:, 3:])
+        np.testing.assert_array_equal(z[:, 3:10], at_laser[:, 3:10])
+        np.testing.assert_allclose(np.sin(z[:, 10] - at_laser[:, 10] - origin[2]), 0.0, atol=1e-12)
         tags = tags_of(Segments(z, label), scan.walls)
         for row in np.flatnonzero(tags != UNKNOWN_TAG):
             lateral, angle = errors(z[row], walls[tags[row]], np.array([*place, 1.0]))
@@ -354,7 +356,7 @@ def test_the_laser_stands_on_the_robot() -> None:
 def test_tags_are_those_of_most_beams_and_no_two_alike() -> None:
     label = np.array([0] * 5 + [1] * 7 + [2] * 4 + [3] * 4 + [-1] * 3)
     walls = np.array([9] * 5 + [9] * 6 + [4] + [4, 4, 5, 5] + [UNKNOWN_TAG] * 3 + [6] + [8] * 3)
-    segments = Segments(np.zeros((4, 10)), label)
+    segments = Segments(np.zeros((4, 11)), label)
     # 0 and 1 are both of wall 9, and 1 has more beams; of 2 half the beams are of one wall; 3 is of nothing known.
     assert list(tags_of(segments, walls)) == [UNKNOWN_TAG, 9, UNKNOWN_TAG, UNKNOWN_TAG]
     assert list(tags_of(segments, np.where(label == 0, 2**53, walls))) == [2**53, 9, UNKNOWN_TAG, UNKNOWN_TAG]
@@ -409,7 +411,7 @@ def test_scans_of_nothing_show_nothing() -> None:
     }
     for name, (ranges, bearings) in nothing.items():
         z, label = extract(Scan(ranges, bearings, ORIGIN, 8.0), 0.01)
-        assert z.shape == (0, 10), name
+        assert z.shape == (0, 11), name
         assert np.array_equal(label, np.full(len(ranges), -1)), name
 
 
@@ -435,3 +437,15 @@ def test_the_scan_is_only_read_and_the_same_scan_gives_the_same_bits() -> None:
     one, other = extract(scan, 0.01), extract(scan, 0.01)
     assert one.z.tobytes() == other.z.tobytes()
     assert one.label.tobytes() == other.label.tobytes()
+
+
+def test_parallel_pieces_share_their_direction() -> None:
+    """Both sides of a corridor and a door that is hardly seen; the wall across it, and one that leans, keep theirs."""
+    phi = np.array([0.1, 0.1 - math.pi + 0.001, 0.11, 0.1 + 0.5 * math.pi, 0.15])
+    deviation = np.array([0.001, 0.002, 0.008, 0.003, 0.001])
+    shared = shared_directions(phi, deviation**2)
+    weight = 1.0 / (deviation[:3] ** 2 + STRAIGHT[1] ** 2)
+    mean = 0.1 + weight @ [0.0, 0.001, 0.01] / weight.sum()
+    np.testing.assert_allclose(shared, [mean, mean - math.pi, mean, phi[3], phi[4]], atol=1e-12)
+    np.testing.assert_allclose(shared_directions(phi + 3.0, deviation**2), shared + 3.0, atol=1e-12)
+    assert shared_directions(np.zeros(0), np.zeros(0)).shape == (0,)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam._jit import inline
-from slam.features import Wall, compatible, draw, extend, extent, innovation, inverse, region, spread, total
+from slam.features import Wall, compatible, draw, extend, extent, innovation, inverse, observable, region, spread, total
 from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, ends
 from slam.geometry import compose, invert, wrap
 from slam.types import Floats, Params
@@ -22,7 +22,7 @@ MODEL = ((1e-4, 0.0), (0.0, 4e-6))
 
 def piece(x: float, y: float, phi: float, half: float = 1.0, end_a: int = HIDDEN, end_b: int = HIDDEN) -> Floats:
     """An observation that reaches `half` to both sides of its centroid."""
-    return np.array([x, y, phi, -half, half, 1e-6, 1e-6, end_a, end_b, 20.0])
+    return np.array([x, y, phi, -half, half, 1e-6, 1e-6, end_a, end_b, 20.0, phi])
 
 
 def wall(x: float, y: float, phi: float, half: float = 1.0, end_a: float = 0.0, end_b: float = 0.0) -> Floats:
@@ -104,6 +104,40 @@ def test_nothing_is_said_along_a_wall() -> None:
         _, G_s, _ = innovation(WALL, theta, s, z)
         along = np.array([math.cos(theta[2]), math.sin(theta[2]), 0.0])
         np.testing.assert_allclose(np.array(G_s) @ along, 0.0, atol=1e-12)
+
+
+def test_what_cannot_be_observed_gains_no_information() -> None:
+    """All pieces of one direction leave the same direction of the pose free, however their walls are turned."""
+    for s, theta, z in situations():
+        z[10] += 0.01
+        for P22, var in ((0.0, 1e-4), (4e-4, 1e-4), (4e-4, 1e-16), (0.0, 0.0)):
+            for turned in (0.0, 0.03, -0.1):
+                wrong = theta + np.array([0, 0, turned, 0, 0, 0, 0, 0])
+                v, G_s, _ = innovation(WALL, wrong, s, z)
+                row, turn = observable(WALL, s, np.diag([1.0, 1.0, P22]), z, v, G_s, np.diag([1e-4, var]))
+                known = P22 / (P22 + var) if P22 else 0.0
+                heading = s[2] + known * math.remainder(wrong[2] - s[2] - z[2], 2 * PI)
+                free = np.array([math.cos(heading + z[10]), math.sin(heading + z[10]), 0.0])
+                np.testing.assert_allclose(np.array(row) @ free, 0.0, atol=1e-12)
+                np.testing.assert_allclose(turn, G_s[1])
+
+
+def test_it_is_the_jacobian_where_walls_are_where_they_are_seen() -> None:
+    """The wall turned to the piece, and the direction of the piece alone."""
+    for s, theta, z in situations():
+        turned = np.array([*theta[:2], wrap(s[2] + z[2]), *theta[3:]])
+        v, G_s, _ = innovation(WALL, turned, s, z)
+        for P22 in (0.0, 0.01):
+            row, _ = observable(WALL, s, np.diag([1.0, 1.0, P22]), z, v, G_s, np.diag([1e-4, 1e-4]))
+            np.testing.assert_allclose(row, G_s[0], atol=1e-9)
+
+
+def test_a_known_heading_or_a_known_wall() -> None:
+    """Where the heading is not known at all the wall has the last word; its row is the exact one."""
+    for s, theta, z in situations():
+        v, G_s, _ = innovation(WALL, theta, s, z)
+        row, _ = observable(WALL, s, np.diag([1.0, 1.0, 1e9]), z, v, G_s, np.diag([1e-4, 1e-4]))
+        np.testing.assert_allclose(row, G_s[0], atol=1e-6)
 
 
 def test_the_floor_grows_with_the_distance_along_the_wall() -> None:
