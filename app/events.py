@@ -30,6 +30,8 @@ class Event(NamedTuple):
     text: str
     who: str = ""
     """Key of the filter; none for the session."""
+    kind: str = "changed"
+    """What happened, in a word or two: "resampled", "depleted", "loop closed" ..."""
 
 
 class Watch:
@@ -51,35 +53,39 @@ class Watch:
         events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
         for key, update in step.filters.items():
             told = self._of_filter(key, update, step)
-            events += [Event(level, f"{self._titles[key]} {text}", key) for level, text in told]
+            events += [Event(level, f"{self._titles[key]} {text}", key, kind) for kind, level, text in told]
         return events
 
-    def _of_filter(self, key: str, update: FilterUpdate, step: SessionStep) -> Iterator[tuple[str, str]]:
+    def _of_filter(self, key: str, update: FilterUpdate, step: SessionStep) -> Iterator[tuple[str, str, str]]:
+        """Kind, level and text."""
         trace, measures = update.trace, update.measures
         K = len(trace.weighted.log_w)
         for sentence in trace.events:
             if self._begins(key, sentence, True, step.index):
-                yield "WARN", f"reports: {sentence}"
+                yield "reports", "WARN", f"reports: {sentence}"
         if self._begins(key, "association lost", bool(measures.wrong or measures.missed), step.index):
-            yield "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
+            yield "association lost", "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
         gaps = self._loops[key].step(trace, measures.best, self._travelled)
         gaps = gaps[gaps >= LOOP]
         if self._begins(key, "loop closed", len(gaps) > 0, step.index):
-            yield "INFO", _loop_closed(gaps)
+            yield "loop closed", "INFO", _loop_closed(gaps)
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
-            yield "WARN", "has an infinite NEES: its particles agree on one position, and the truth is another"
+            text = "has an infinite NEES: its particles agree on one position, and the truth is another"
+            yield "singular", "WARN", text
         if K == 1:
             return
         if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
             heaviest = float(np.exp(trace.weighted.log_w.max()))
             yield (
+                "depleted",
                 "WARN",
                 f"is depleted: N_eff fell to {trace.n_eff:.1f} of {K}, one particle holds {heaviest:.0%} of the weight",
             )
         if trace.did_resample:
-            yield "DEBUG", _resampled(update, step.params.resample_below)
+            yield "resampled", "DEBUG", _resampled(update, step.params.resample_below)
         if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
-            yield "WARN", f"has one founder left: all {K} particles share one past, up to {_age(update)}"
+            text = f"has one founder left: all {K} particles share one past, up to {_age(update)}"
+            yield "one founder", "WARN", text
 
     def _begins(self, key: str, what: str, present: bool, index: int) -> bool:
         """Whether something is there that was not there in the last steps."""

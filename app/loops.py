@@ -24,6 +24,8 @@ class Loops:
     def step(self, trace: Trace, k: int, travelled: float) -> Distances:
         """[m] of travel since each feature that particle k of `trace.weighted` matched was matched before, or made."""
         before, after = trace.predicted.maps.counts, trace.weighted.maps.counts
+        if int(trace.resized.max()) >= len(self._last):  # of a filter that was off while its particles became more
+            self._last = np.empty((0, 0), np.float32)
         rows = len(self._last) or int(trace.resized.max()) + 1
         last = _with_room(self._last, rows, int(after.max(initial=0)))[trace.resized]
         gaps = travelled - last[k, trace.n[k][trace.n[k] >= 0]]
