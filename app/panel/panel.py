@@ -1,0 +1,404 @@
+"""The panel: builds the page, carries out what people ask for, and shows how things stand.
+
+Callbacks run in viser's threads and only pass things on.  One thread of the panel's own shows the status, at most
+`RATE` times a second, so that neither a fast filter nor a slow browser makes the other wait.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import viser
+
+from app.errors import sentence
+from app.live.engine import Engine, Status
+from app.live.trend import Trend
+from app.options import FILTERS, PRESETS
+from app.panel import now
+from app.panel.controls import Controls, filter_controls, noise_controls, preset_changes
+from scenarios.types import Source
+from slam.estimators import ESTIMATORS
+
+RATE = 8.0
+"""[1/s]"""
+
+LABEL = "Dual FastSLAM workbench"
+
+SPEEDS: dict[str, float | None] = {
+    "1 step/s": 1.0,
+    "2 steps/s": 2.0,
+    "5 steps/s": 5.0,
+    "10 steps/s": 10.0,
+    "20 steps/s": 20.0,
+    "50 steps/s": 50.0,
+    "as fast as possible": None,
+}
+USUAL_SPEED = "10 steps/s"
+
+UNTIL = {
+    "the next resampling": ("resampled",),
+    "the next depletion": ("depleted",),
+    "the next loop closure": ("loop closed",),
+    "lost association": ("association lost",),
+    "any of these": ("depleted", "loop closed", "association lost"),
+}
+
+NO_PRESET = "-"
+
+TRUNK = "the first run"
+"""What people call the branch without a name."""
+
+MOST_SEED = 2**31 - 1
+
+
+class Records(Protocol):
+    """What the panel needs of recording to files."""
+
+    def start(self, name: str) -> str:
+        """Record from now on under this name; a sentence on where."""
+        ...
+
+    def stop(self) -> str:
+        """Stop and save; a sentence on what is where."""
+        ...
+
+    @property
+    def running(self) -> bool:
+        """Whether something is being recorded."""
+        ...
+
+    def describe(self) -> str:
+        """Markdown: what is recorded, how large it is, what went wrong."""
+        ...
+
+
+class View(Protocol):
+    """The panel's own scene."""
+
+    def reset(self, info: Any) -> None:
+        """Another session."""
+        ...
+
+    def show(self, status: Status) -> None:
+        """The step where the session stands."""
+        ...
+
+    def describe_pick(self, status: Status) -> str:
+        """Markdown on the particle that somebody chose; empty for none."""
+        ...
+
+    def visible(self, layer: str, on: bool) -> None:
+        """Show or hide a layer."""
+        ...
+
+
+class Panel:
+    """A viser server with the controls of an engine."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        trend: Trend,
+        records: Records,
+        worlds: Sequence[str],
+        open_world: Callable[[str], Source],
+        view: Callable[[viser.ViserServer], View] | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        self._engine = engine
+        self._trend = trend
+        self._records = records
+        self._worlds = list(worlds)
+        self._open_world = open_world
+        self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
+        self._gui = self.server.gui
+        self._view = view(self.server) if view else None
+        self._link = True
+        self._speed = USUAL_SPEED
+        self._wanted: int | None = None
+        """A step that somebody wants to go to; only the last one counts."""
+        self._said = ""
+        """What went wrong with something that was asked for."""
+        self._shown = (-1, "")
+        self._built = -1
+        self._own = threading.local()
+        self._closing = threading.Event()
+        self._wake = threading.Event()
+        self.engine_speed()
+        self._build(engine.status)
+        self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return self.server.get_port()
+
+    def engine_speed(self) -> None:
+        """Have the engine go at the speed that the page shows."""
+        self._engine.speed(SPEEDS[self._speed])
+
+    def close(self) -> None:
+        """Stop showing, and the server."""
+        self._closing.set()
+        self._wake.set()
+        self._thread.join(5.0)
+        self.server.stop()
+
+    # --- Building ---------------------------------------------------------------------------------------------------
+
+    def _build(self, status: Status) -> None:
+        """The whole page, for the world that the session is in."""
+        gui = self._gui
+        gui.reset()
+        gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, control_layout="fixed", control_width="large"
+        )
+        gui.set_panel_label(LABEL)
+        source = status.info.source
+        self.controls = Controls(gui, self._put)
+        self.headline = gui.add_markdown(now.headline(status))
+        self.message = gui.add_markdown(now.message(status))
+        self._build_transport()
+        self.table = gui.add_markdown(now.table(status))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Noise"):
+            self._build_noise(source)
+        with tabs.add_tab("Filter"):
+            self._build_filter(source, status)
+        with tabs.add_tab("Time travel"):
+            self._build_travel(status)
+        with tabs.add_tab("Plots"):
+            self.plots = now.Plots(gui)
+        with tabs.add_tab("Record"):
+            self._build_record()
+        with tabs.add_tab("World"):
+            self._build_world(status)
+        with tabs.add_tab("View"):
+            self._build_view()
+        self._built = status.number
+        if self._view is not None:
+            self._view.reset(status.info)
+
+    def _build_transport(self) -> None:
+        gui, engine = self._gui, self._engine
+        self.play = gui.add_button("Play", hint="Go on, or stop after the step that is being made.", color="green")
+        self.play.on_click(lambda _: engine.pause() if engine.status.playing else engine.play())
+        self.step = gui.add_button("Step", hint="Make one step.")
+        self.step.on_click(lambda _: engine.step())
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=self._speed, hint="Steps in a second.")
+        self.speed.on_update(lambda _: self._set_speed())
+        self.until = gui.add_dropdown("run to", tuple(UNTIL), hint="Where 'Run to event' stops.")
+        self.run_to = gui.add_button("Run to event", hint="Go on until that happens in one of the filters.")
+        self.run_to.on_click(lambda _: engine.play(UNTIL.get(self.until.value, ())))
+
+    def _build_noise(self, source: Source) -> None:
+        gui = self._gui
+        if source.kind == "world":
+            with gui.add_folder("The world is"):
+                self.noise = self.controls.add(noise_controls(source, "noise"))
+            self.link = gui.add_checkbox("the belief follows the world", self._link, hint="Change both together.")
+            self.link.on_update(lambda _: setattr(self, "_link", bool(self.link.value)))
+        else:
+            gui.add_markdown("A log has its noise already; only what the filters believe of it can be changed.")
+            self.noise = []
+        with gui.add_folder("The filter believes"):
+            self.believed = self.controls.add(noise_controls(source, "believed"))
+
+    def _build_filter(self, source: Source, status: Status) -> None:
+        gui = self._gui
+        self.filters = {}
+        with gui.add_folder("Which filters run"):
+            for key in FILTERS:
+                box = gui.add_checkbox(
+                    ESTIMATORS[key].title, key in status.settings.filters, hint=ESTIMATORS[key].reference
+                )
+                box.on_update(lambda _: self._set_filters())
+                self.filters[key] = box
+        self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
+        self.preset.on_update(lambda _: self._set_preset())
+        self.parameters = self.controls.add(filter_controls(source))
+
+    def _build_travel(self, status: Status) -> None:
+        gui, engine = self._gui, self._engine
+        gui.add_markdown(
+            "Go back to any step, change anything, and run on: what follows is a branch, beside what was before."
+        )
+        self.time = gui.add_slider("step", 0, max(status.total, 1), 1, status.step, hint="Where the session stands.")
+        self.time.on_update(lambda _: self._travel(self.time.value))
+        self.back = gui.add_button("Back one step")
+        self.back.on_click(lambda _: self._travel(engine.status.step - 1))
+        self.newest = gui.add_button("To the newest step")
+        self.newest.on_click(lambda _: engine.go_newest())
+        self.branch = gui.add_button("Branch from here", hint="With the settings as they are now.", color="orange")
+        self.branch.on_click(lambda _: engine.fork())
+        names: tuple[str, ...] = (TRUNK,)
+        self.branches = gui.add_dropdown("branch", names, hint="Which run is looked at.")
+        self.branches.on_update(lambda _: self._set_branch())
+        self.tree = gui.add_markdown("")
+
+    def _build_record(self) -> None:
+        gui = self._gui
+        self.name = gui.add_text("name", "session", hint="Of the file; letters, digits, dots and dashes.")
+        self.record = gui.add_button("Record", hint="Write everything from the next step on to a file.", color="red")
+        self.record.on_click(lambda _: self._toggle_recording())
+        self.recorded = gui.add_markdown(self._records.describe())
+
+    def _build_world(self, status: Status) -> None:
+        gui = self._gui
+        name = status.info.source.name
+        words = tuple(dict.fromkeys((name, *self._worlds)))
+        self.world = gui.add_dropdown("world", words, initial_value=name, hint="Where the robot drives.")
+        self.seed = gui.add_number(
+            "seed", status.info.seed, min=0, max=MOST_SEED, step=1, hint="Of all random numbers: same seed, same run."
+        )
+        self.reset = gui.add_button("Reset", hint="Begin again, in this world and with this seed.")
+        self.reset.on_click(lambda _: self._reset())
+        self.new_seed = gui.add_button("New seed", hint="Begin again with the next seed.")
+        self.new_seed.on_click(lambda _: self._engine.reset(seed=(self._engine.status.info.seed + 1) % MOST_SEED))
+
+    def _build_view(self) -> None:
+        gui = self._gui
+        self.pick = gui.add_markdown("Click a particle in the picture to see all about it.")
+        for layer in ("truth", "maps", "ellipses", "lineages"):
+            box = gui.add_checkbox(layer, True)
+            box.on_update(lambda event: self._set_layer(event.target))
+
+    # --- What people ask for: in viser's threads --------------------------------------------------------------------
+
+    def _put(self, changes: dict[str, Any]) -> None:
+        if self._link:
+            for name, value in list(changes.items()):
+                group, _, field = name.rpartition(".")
+                if group == "noise":
+                    changes[f"believed.{field}"] = value
+        self._engine.put(changes)
+        self._wake.set()
+
+    def _set_speed(self) -> None:
+        if self.speed.value in SPEEDS:
+            self._speed = self.speed.value
+            self.engine_speed()
+
+    def _set_filters(self) -> None:
+        if getattr(self._own, "busy", False):
+            return
+        self._engine.put({"filters": [key for key, box in self.filters.items() if box.value is True]})
+
+    def _set_preset(self) -> None:
+        if self.preset.value in PRESETS:
+            self._engine.put(preset_changes(self.preset.value))
+
+    def _set_branch(self) -> None:
+        if getattr(self._own, "busy", False):
+            return
+        name = "" if self.branches.value == TRUNK else self.branches.value
+        if name != self._engine.status.branch:
+            self._engine.to_branch(name)
+
+    def _set_layer(self, box: Any) -> None:
+        if self._view is not None:
+            self._view.visible(box.label, box.value is True)
+            self._shown = (-1, "")
+            self._wake.set()
+
+    def _travel(self, step: Any) -> None:
+        if getattr(self._own, "busy", False):
+            return
+        if isinstance(step, int | float) and not isinstance(step, bool):
+            self._wanted = int(min(max(step, 0), self._engine.status.newest))
+            self._wake.set()
+
+    def _toggle_recording(self) -> None:
+        name = self.name.value if isinstance(self.name.value, str) else ""
+        self._try(lambda: self._records.stop() if self._records.running else self._records.start(name))
+
+    def _reset(self) -> None:
+        def reset() -> str:
+            status, seed = self._engine.status, self.seed.value
+            given = isinstance(seed, int | float) and not isinstance(seed, bool)
+            number = int(min(max(seed, 0), MOST_SEED)) if given else status.info.seed
+            other = self.world.value != status.info.source.name and self.world.value in self._worlds
+            self._engine.reset(number, self._open_world(self.world.value) if other else None)
+            return ""
+
+        self._try(reset)
+
+    def _try(self, what: Callable[[], str]) -> None:
+        """Do it, and have the page say what came of it."""
+        try:
+            self._said = what()
+        except Exception as error:
+            self._said = sentence(error)
+        self._shown = (-1, "")
+        self._wake.set()
+
+    # --- Showing: in the panel's own thread -------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self._wake.wait(1.0 / RATE)
+            self._wake.clear()
+            try:
+                self._refresh()
+            except Exception as error:  # the page must not stand still because of one number
+                self._said = sentence(error)
+            self._closing.wait(1.0 / RATE)
+
+    def _refresh(self) -> None:
+        if self._wanted is not None:
+            wanted, self._wanted = self._wanted, None
+            self._engine.go(wanted)
+        status = self._engine.status
+        recorded = self._records.describe()
+        if (status.changed, recorded) == self._shown and not status.playing:
+            return
+        if status.number != self._built:
+            self._build(status)
+        self._shown = (status.changed, recorded)
+        self._own.busy = True
+        try:
+            with self.server.atomic():
+                self._show(status, recorded)
+            if self._view is not None:
+                self._view.show(status)
+        finally:
+            self._own.busy = False
+
+    def _show(self, status: Status, recorded: str) -> None:
+        _set(self.headline, "content", now.headline(status))
+        _set(self.message, "content", f"> **{self._said}**" if self._said else now.message(status))
+        _set(self.table, "content", now.table(status))
+        _set(self.play, "label", "Pause" if status.playing else "Play")
+        self.controls.show(status.settings)
+        for key, box in self.filters.items():
+            _set(box, "value", key in status.settings.filters)
+        _set(self.time, "value", status.step)
+        names = tuple(name or TRUNK for name, *_ in status.branches)
+        if tuple(self.branches.options) != names:
+            self.branches.options = names
+        _set(self.branches, "value", status.branch or TRUNK)
+        _set(self.tree, "content", _tree(status))
+        _set(self.record, "label", "Stop recording" if self._records.running else "Record")
+        _set(self.recorded, "content", recorded)
+        if self._view is not None:
+            _set(self.pick, "content", self._view.describe_pick(status) or "Click a particle to see all about it.")
+        self.plots.show(self._trend.of(status.branch, status.step))
+
+
+def _set(handle: Any, name: str, value: Any) -> None:
+    """Only if it is something else: whatever is set is sent to everybody."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
+def _tree(status: Status) -> str:
+    lines = []
+    for name, parent, at, done in status.branches:
+        here = " **(here)**" if name == status.branch else ""
+        origin = f", left {parent or TRUNK} after step {at}" if name else ""
+        lines.append(f"- {name or TRUNK}: {done} steps{origin}{here}")
+    return "\n".join(lines)
