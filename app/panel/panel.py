@@ -235,8 +235,7 @@ class Panel:
         self.newest.on_click(lambda _: engine.go_newest())
         self.branch = gui.add_button("Branch from here", hint="With the settings as they are now.", color="orange")
         self.branch.on_click(lambda _: engine.fork())
-        names: tuple[str, ...] = (TRUNK,)
-        self.branches = gui.add_dropdown("branch", names, hint="Which run is looked at.")
+        self.branches: viser.GuiDropdownHandle[str] = gui.add_dropdown("branch", [TRUNK], hint="Which run is looked at.")
         self.branches.on_update(lambda _: self._set_branch())
         self.tree = gui.add_markdown("")
 
