@@ -109,9 +109,7 @@ class Run(SessionOptions):
         first = replay.changes[0][1]
         filters = tuple(ESTIMATORS[key] for key in replay.filters)
         steps = min(replay.steps, len(info.source.steps))
-        info = info._replace(
-            filters=filters, params=first.params, noise=first.noise, seed=replay.seed, steps=steps
-        )
+        info = info._replace(filters=filters, params=first.params, noise=first.noise, seed=replay.seed, steps=steps)
         check = Check(replay)
         code = self._show(info, replay.session_changes(), [check])
         Console(stderr=True, highlight=False).print(check.told(), soft_wrap=True, markup=False)

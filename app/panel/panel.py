@@ -235,7 +235,9 @@ class Panel:
         self.newest.on_click(lambda _: engine.go_newest())
         self.branch = gui.add_button("Branch from here", hint="With the settings as they are now.", color="orange")
         self.branch.on_click(lambda _: engine.fork())
-        self.branches: viser.GuiDropdownHandle[str] = gui.add_dropdown("branch", [TRUNK], hint="Which run is looked at.")
+        self.branches: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "branch", [TRUNK], hint="Which run is looked at."
+        )
         self.branches.on_update(lambda _: self._set_branch())
         self.tree = gui.add_markdown("")
 
