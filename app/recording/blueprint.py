@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -19,26 +20,58 @@ MAP_ASPECT = 1.8
 
 BACKGROUND = colours.BACKGROUND
 
+TRUNK = "The run"
+"""What the run itself is called beside its branches."""
+
 ON_DEMAND = "associations"
 """What of a filter no view shows until somebody wants to see it."""
 
 
-def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str], legend: str) -> rrb.Blueprint:
+class Shown(NamedTuple):
+    """What a window shows of a run, or of one of its branches."""
+
+    filters: Sequence[Estimator]
+    extent: Extent
+    known: frozenset[str]
+    """What somebody knows (`metrics.known_of`)."""
+    legend: str
+    """What the title of a map says of features."""
+    prefix: str = ""
+    """Of all entities: nothing, or `branch/<name>/`."""
+    label: str = ""
+    """Name of the branch, for people."""
+
+    def at(self, path: str) -> str:
+        """The entity that has this path in a recording of its own."""
+        return f"/{self.prefix}{path}"
+
+    def named(self, title: str) -> str:
+        """A title that tells the branches apart."""
+        return f"{title}, {self.label}" if self.label else title
+
+
+def layout(
+    filters: Sequence[Estimator], extent: Extent, known: frozenset[str], legend: str, prefix: str = ""
+) -> rrb.Blueprint:
     """The window: the map with a close-up for each filter on the left, plots and pages on the right.
 
-    `known` is what somebody knows (`metrics.known_of`), `legend` what the title of a map says of features.
+    `known` is what somebody knows (`metrics.known_of`), `legend` what the title of a map says of features, `prefix`
+    that of all entities.
     """
-    oriented = "heading" in known
-    together = rrb.Vertical(
-        _map_view(_legend(filters) + legend, extent, filters),
-        rrb.Horizontal(*(_close_up(f, "focus", f.title, oriented) for f in filters)),
-        row_shares=[5, 3],
-        name="All filters",
-    )
+    return layout_of_branches([Shown(filters, extent, known, legend, prefix)])
+
+
+def layout_of_branches(branches: Sequence[Shown]) -> rrb.Blueprint:
+    """The same for a run and its branches, the run first: maps side by side, each measure of all of them in one plot.
+
+    Pages on one branch lie behind tabs; the latest is in front.
+    """
+    last = branches[-1]
+    tabs = [_of_one(f, branch) for branch in reversed(branches) for f in branch.filters]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(together, *(_of_one(f, extent, oriented, legend) for f in filters), active_tab=0),
-            rrb.Vertical(_plots(filters, known), _pages(filters), row_shares=[3, 2]),
+            rrb.Tabs(_together(branches), *tabs, active_tab=0),
+            rrb.Vertical(_plots(branches), _pages(last, branches), row_shares=[3, 2]),
             column_shares=[8, 5],
         ),
         rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
@@ -47,36 +80,54 @@ def layout(filters: Sequence[Estimator], extent: Extent, known: frozenset[str], 
     )
 
 
-def _of_one(estimator: Estimator, extent: Extent, oriented: bool, legend: str) -> rrb.Container:
-    """The tab of one filter: its map with lineages and all hypotheses, its particles, and the best one of them."""
-    title = estimator.title
-    named = f"{title}: map, all surviving paths, the maps of all particles{legend}"
+def _together(branches: Sequence[Shown]) -> rrb.Container:
+    """All filters: of one run below each other, of the run and its latest branch side by side."""
+    if len(branches) == 1:
+        return _map_and_close_ups(branches[0], "All filters")
+    pair = [_map_and_close_ups(branch, branch.label or TRUNK) for branch in (branches[0], branches[-1])]
+    return rrb.Horizontal(*pair, name="All filters")
+
+
+def _map_and_close_ups(branch: Shown, name: str) -> rrb.Container:
     return rrb.Vertical(
-        _map_view(named, extent, [estimator], whole=True),
+        _map_view(_legend(branch) + branch.legend, branch, branch.filters),
+        rrb.Horizontal(*(_close_up(f, "focus", branch.named(f.title), branch) for f in branch.filters)),
+        row_shares=[5, 3],
+        name=name,
+    )
+
+
+def _of_one(estimator: Estimator, branch: Shown) -> rrb.Container:
+    """The tab of one filter: its map with lineages and all hypotheses, its particles, and the best one of them."""
+    title = branch.named(estimator.title)
+    named = f"{title}: map, all surviving paths, the maps of all particles{branch.legend}"
+    return rrb.Vertical(
+        _map_view(named, branch, [estimator], whole=True),
         rrb.Horizontal(
-            _close_up(estimator, "focus", f"{title}: particles", oriented),
-            _close_up(estimator, "best", f"{title}: the best particle", oriented),
+            _close_up(estimator, "focus", f"{title}: particles", branch),
+            _close_up(estimator, "best", f"{title}: the best particle", branch),
         ),
         row_shares=[5, 3],
         name=title,
     )
 
 
-def _legend(filters: Sequence[Estimator]) -> str:
-    named = ", ".join(f"{f.title} {colours.word(f.key)}" for f in filters)
-    return f"Map: {named}, truth white, dead reckoning grey"
+def _legend(branch: Shown) -> str:
+    named = ", ".join(f"{f.title} {colours.word(f.key)}" for f in branch.filters)
+    return f"{branch.label or 'Map'}: {named}, truth white, dead reckoning grey"
 
 
-def _map_view(name: str, extent: Extent, filters: Sequence[Estimator], whole: bool = False) -> rrb.Spatial3DView:
+def _map_view(name: str, branch: Shown, filters: Sequence[Estimator], whole: bool = False) -> rrb.Spatial3DView:
     """Seen from straight above.  What would crowd the map is there, but switched off: with several filters, much."""
+    extent = branch.extent
     grid = nice(extent.size / 12)
-    roots = [f"/world/{f.key}" for f in filters]
+    roots = [branch.at(f"world/{f.key}") for f in filters]
     crowd = (ON_DEMAND,) if whole else ("maps", "lineages", "ellipses", ON_DEMAND)
     frames = [f"- {root}/{frame}/**" for root in roots for frame in ("focus", "best")]
     return rrb.Spatial3DView(
         name=f"{name}; grid {grid:g} m",
-        origin="/world",
-        contents=[*_surroundings(), *(f"+ {root}/**" for root in roots), *frames],
+        origin=branch.at("world"),
+        contents=[*_surroundings(branch), *(f"+ {root}/**" for root in roots), *frames],
         overrides={f"{root}/{what}": rrb.EntityBehavior(visible=False) for root in roots for what in crowd},
         background=BACKGROUND,
         line_grid=_grid(grid),
@@ -84,19 +135,20 @@ def _map_view(name: str, extent: Extent, filters: Sequence[Estimator], whole: bo
     )
 
 
-def _close_up(estimator: Estimator, frame: str, name: str, oriented: bool) -> rrb.Spatial3DView:
+def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb.Spatial3DView:
     """The frame moves and scales with the particles, so that a fixed eye always has them in sight.
 
     Observations are shown only if a true pose tells where they were made: drawn from the estimate of one filter, they
     would look wrong beside the particles of another.
     """
-    root = f"/world/{estimator.key}"
+    root = branch.at(f"world/{estimator.key}")
     other = {"focus": "best", "best": "focus"}[frame]
+    around = _surroundings(branch)
     return rrb.Spatial3DView(
         name=name,
         origin=f"{root}/{frame}",
         contents=[
-            *(_surroundings() if oriented else _surroundings()[:-1]),
+            *(around if "heading" in branch.known else around[:-1]),
             f"+ {root}/**",
             f"- {root}/lineages",
             f"- {root}/maps",
@@ -109,8 +161,8 @@ def _close_up(estimator: Estimator, frame: str, name: str, oriented: bool) -> rr
     )
 
 
-def _surroundings() -> list[str]:
-    return ["+ /world/truth/**", "+ /world/odometry/**", "+ /world/scan"]
+def _surroundings(branch: Shown) -> list[str]:
+    return [f"+ {branch.at(what)}" for what in ("world/truth/**", "world/odometry/**", "world/scan")]
 
 
 def _grid(spacing: float) -> rrb.LineGrid3D:
@@ -135,14 +187,15 @@ GROUPS = {
 AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
 
 
-def _plots(filters: Sequence[Estimator], known: frozenset[str]) -> rrb.Container:
+def _plots(branches: Sequence[Shown]) -> rrb.Container:
     """One tab for each group, and in each one plot with the legend: the colours are the same in all."""
+    known = frozenset().union(*(branch.known for branch in branches))
     tabs = []
     for name, members in GROUPS.items():
         shown = [m for m in (BY_NAME[n] for n in members) if not m.needs or m.needs in known]
         explained = next((m for m in shown if not m.population), shown[0] if shown else None)
         if shown:
-            tabs.append(rrb.Vertical(*(_plot(m, filters, m is explained) for m in shown), name=name))
+            tabs.append(rrb.Vertical(*(_plot(m, branches, m is explained) for m in shown), name=name))
     return rrb.Tabs(*tabs, active_tab=0)
 
 
@@ -150,43 +203,52 @@ EVERYTHING = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRang
 """The whole run, not a window around the cursor."""
 
 
-def _plot(metric: Metric, filters: Sequence[Estimator], legend: bool) -> rrb.TimeSeriesView:
-    many = populations(f.key for f in filters)
-    lonely = [f"- /plots/{metric.name}/{f.key}" for f in filters if metric.population and f.key not in many]
+def _plot(metric: Metric, branches: Sequence[Shown], legend: bool) -> rrb.TimeSeriesView:
+    contents = []
+    for branch in branches:
+        many = populations(f.key for f in branch.filters)
+        root = branch.at(f"plots/{metric.name}")
+        lonely = [f"- {root}/{f.key}" for f in branch.filters if metric.population and f.key not in many]
+        contents += [f"+ {root}/**", *lonely]
     return rrb.TimeSeriesView(
         name=metric.title,
-        origin=f"/plots/{metric.name}",
-        contents=["+ $origin/**", *lonely],
+        origin=branches[0].at(f"plots/{metric.name}") if len(branches) == 1 else "/",
+        contents=contents,
         axis_y=rrb.ScalarAxis(range=AXES[metric.name]) if metric.name in AXES else None,
         axis_x=rrb.TimeAxis(view_range=EVERYTHING),
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=legend),
     )
 
 
-def _pages(filters: Sequence[Estimator]) -> rrb.Container:
-    many = [f for f in filters if f.key in populations(f.key for f in filters)]
+def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
+    many = [f for f in branch.filters if f.key in populations(f.key for f in branch.filters)]
     ancestry = rrb.Spatial2DView(
-        name="Ancestry",
-        origin="/genealogy",
+        name=branch.named("Ancestry"),
+        origin=branch.at("genealogy"),
         contents=["+ $origin/frame/**", *(f"+ $origin/{f.key}" for f in many)],
         background=BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(-LEFT, WIDTH + 6.0), y_range=(-6.0, HEIGHT + 9.0)),
     )
     weights = [
-        rrb.BarChartView(name=f.title, origin=f"/weights/{f.key}", plot_legend=rrb.PlotLegend(visible=False))
+        rrb.BarChartView(
+            name=branch.named(f.title), origin=branch.at(f"weights/{f.key}"), plot_legend=rrb.PlotLegend(visible=False)
+        )
         for f in many
     ]
-    events = rrb.TextLogView(
-        name="Events",
-        origin="/events",
-        columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
-        rows=rrb.TextLogRows(filter_by_log_level=["INFO", "WARN"]),  # resamplings, at DEBUG, can be switched on
-    )
     return rrb.Tabs(
         ancestry,
         rrb.Horizontal(*weights, name="Weights times K"),
-        events,
-        rrb.TextDocumentView(name="About", origin="/about"),
-        rrb.TextDocumentView(name="Parameters", origin="/params"),
+        *(_events(one) for one in reversed(branches)),
+        rrb.TextDocumentView(name="About", origin=branches[0].at("about")),
+        *(rrb.TextDocumentView(name=one.named("Parameters"), origin=one.at("params")) for one in reversed(branches)),
         active_tab=0,
+    )
+
+
+def _events(branch: Shown) -> rrb.TextLogView:
+    return rrb.TextLogView(
+        name=branch.named("Events"),
+        origin=branch.at("events"),
+        columns=rrb.TextLogColumns(text_log_columns=["loglevel", "body"]),
+        rows=rrb.TextLogRows(filter_by_log_level=["INFO", "WARN"]),  # resamplings, at DEBUG, can be switched on
     )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.recording.stream import check_path
+from app.recording.stream import FileStream, check_path
 from app.types import SessionInfo, SessionStep
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Recorder:
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised here as `RecordingLost`
         from app.recording.writer import Writer  # importing Rerun takes a second: only who records pays for it
 
-        self._writer = Writer(info, self.path)
+        self._writer = Writer(info, partial(FileStream, self.path))
 
     def step(self, step: SessionStep) -> None:
         """Write one observing step."""

@@ -1,8 +1,9 @@
-"""A Rerun stream that writes one file: opened with care, told the time, and watched while it writes."""
+"""Rerun streams: opened with care, told the time, and watched while they write."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,34 +48,23 @@ def _check_replaceable(path: Path) -> None:
 
 
 class Stream:
-    """Log here.  Nothing is sent anywhere but to the file."""
+    """Log here, from one thread.  Where it goes is a matter of the kinds of streams below."""
 
-    def __init__(self, path: Path, blueprint: rrb.Blueprint, name: str) -> None:
-        check_path(path)
+    def __init__(self, blueprint: rrb.Blueprint, name: str) -> None:
         import rerun as rr
 
-        self.path = path
         self._rec = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_EVERY))
         if not rr.is_enabled(self._rec):
             raise RecordingError(
                 f"the environment variable RERUN={os.environ.get('RERUN', '')} turns recording off; unset it to record"
             )
         self._rec.set_log_time_enabled(False)  # when it was computed is of no interest
-        try:
-            self._pipe = Pipe(path)
-        except OSError as error:
-            raise RecordingError(f"--record {path} cannot be written: {sentence(error)}") from None
-        self._rec.save(self._pipe.entrance, default_blueprint=blueprint)
-        self._pipe.seal()
+        self._connect(blueprint)
         self._rec.send_recording_name(name)
-        self._told = False
 
     def begun(self) -> None:
-        """Make sure, before the run begins, that what does not change is in the file."""
+        """Make sure, before the run begins, that what does not change has arrived."""
         self._rec.flush(timeout_sec=PATIENCE)
-        if self._pipe.error is not None:
-            self._told = True
-            raise RecordingError(f"--record {self.path} cannot be written: {_reason(self._pipe.error)}")
 
     def log(self, entity: str, *what: Any) -> None:
         """At the present time."""
@@ -88,6 +78,10 @@ class Stream:
         """Of the recording as a whole."""
         self._rec.send_property(name, what)
 
+    def show(self, blueprint: rrb.Blueprint) -> None:
+        """Lay out anew every window that shows the recording."""
+        self._rec.send_blueprint(blueprint)
+
     def set_time(self, stage: int, step: int | None = None, sim_time: float | None = None) -> None:
         """What is logged next belongs to this moment, on the timelines for which a time is given."""
         self._rec.reset_time()
@@ -96,6 +90,39 @@ class Stream:
             self._rec.set_time("step", sequence=step)
         if sim_time is not None:
             self._rec.set_time("sim_time", duration=sim_time)
+
+    def check(self) -> None:
+        """`RecordingLost` if what was logged does not arrive any more; once."""
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._rec.disconnect()
+        self.check()
+
+    def _connect(self, blueprint: rrb.Blueprint) -> None:
+        """To where it goes."""
+        raise NotImplementedError
+
+
+OpenStream = Callable[["rrb.Blueprint", str], Stream]
+"""Opens a stream, with the layout that a window gets and the name of the recording."""
+
+
+class FileStream(Stream):
+    """Writes a file, and sends nothing anywhere else."""
+
+    def __init__(self, path: Path, blueprint: rrb.Blueprint, name: str) -> None:
+        check_path(path)
+        self.path = path
+        self._told = False
+        super().__init__(blueprint, name)
+
+    def begun(self) -> None:
+        """Make sure, before the run begins, that what does not change is in the file."""
+        super().begun()
+        if self._pipe.error is not None:
+            self._told = True
+            raise RecordingError(f"--record {self.path} cannot be written: {_reason(self._pipe.error)}")
 
     def check(self) -> None:
         """`RecordingLost` if the file could not be written; once."""
@@ -111,6 +138,53 @@ class Stream:
         self._rec.disconnect()
         self._pipe.join()
         self.check()
+
+    def _connect(self, blueprint: rrb.Blueprint) -> None:
+        try:
+            self._pipe = Pipe(self.path)
+        except OSError as error:
+            raise RecordingError(f"--record {self.path} cannot be written: {sentence(error)}") from None
+        self._rec.save(self._pipe.entrance, default_blueprint=blueprint)
+        self._pipe.seal()
+
+
+class BranchStream(Stream):
+    """A part of an open stream, with everything below `/branch/<name>`; closing it leaves the other one open."""
+
+    def __init__(self, trunk: Stream, name: str) -> None:
+        self._trunk = trunk
+        self._prefix = f"branch/{name}/"
+        self._name = name
+
+    def begun(self) -> None:
+        """The other one has."""
+
+    def log(self, entity: str, *what: Any) -> None:
+        """At the present time."""
+        self._trunk.log(self._prefix + entity, *what)
+
+    def log_static(self, entity: str, *what: Any) -> None:
+        """True at all times."""
+        self._trunk.log_static(self._prefix + entity, *what)
+
+    def property(self, name: str, what: Any) -> None:
+        """Of the branch as a whole."""
+        self._trunk.property(f"{name}/{self._name}", what)
+
+    def show(self, blueprint: rrb.Blueprint) -> None:
+        """Lay out anew every window that shows the recording."""
+        self._trunk.show(blueprint)
+
+    def set_time(self, stage: int, step: int | None = None, sim_time: float | None = None) -> None:
+        """What is logged next belongs to this moment; also in the other one, until it says otherwise."""
+        self._trunk.set_time(stage, step, sim_time)
+
+    def check(self) -> None:
+        """`RecordingLost` if what was logged does not arrive any more; once."""
+        self._trunk.check()
+
+    def close(self) -> None:
+        """Nothing: whoever opened the other one closes it."""
 
 
 def _reason(error: OSError) -> str:

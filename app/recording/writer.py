@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from pathlib import Path
+import re
+from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -12,12 +15,13 @@ import rerun as rr
 from app import colours
 from app.events import Watch
 from app.recording import charts, landmarks, scene, texts, walls
-from app.recording.blueprint import MAP_ASPECT, layout
+from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
 from app.recording.ground import extent_of, known, observer
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
-from app.recording.stream import Stream
+from app.recording.stream import BranchStream, OpenStream
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
+from slam.estimators import ESTIMATORS
 from slam.features import Wall
 from slam.geometry import ellipse_axes
 from slam.metrics import nees_interval
@@ -38,27 +42,55 @@ GUIDES = {
 }
 """Series in `/plots` that belong to no filter."""
 
+OF_A_BRANCH = ("n_eff/threshold",)
+"""Those of them that may differ from the run's."""
+
+WIDTH, BRANCH_WIDTH = 1.8, 0.9
+"""[points] of the lines of a run and of its branches in plots."""
+
 GUIDE: colours.RGB = (140, 140, 140)
 
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
 
 
-class Writer:
-    """One recording that is being written."""
+def unused(name: str, taken: Collection[str]) -> str:
+    """The name, or with a number behind it."""
+    names = itertools.chain([name], (f"{name}-{i}" for i in itertools.count(2)))
+    return next(n for n in names if n not in taken)
 
-    def __init__(self, info: SessionInfo, path: Path) -> None:
+
+def slug(name: str) -> str:
+    """A name as a part of an entity path."""
+    return re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.") or "branch"
+
+
+class Trunk(NamedTuple):
+    """Where a branch belongs."""
+
+    writer: Writer
+    prefix: str
+    """Of its entities; ends in a slash."""
+    label: str
+    """Its name, for people."""
+
+
+class Writer:
+    """One recording that is being written, or a branch of one."""
+
+    def __init__(self, info: SessionInfo, open_stream: OpenStream, trunk: Trunk | None = None) -> None:
+        """`trunk` is what a branch belongs to; `fork` makes one."""
         self._info = info
         self._limits = limits_for(info.steps)
         self._features = walls if isinstance(info.source.feature, Wall) else landmarks
-        self._watch = Watch({f.key: f.title for f in info.filters})
+        self._watch = Watch({key: estimator.title for key, estimator in ESTIMATORS.items()})
         self._truth: list[list[Floats]] = []
         """Stretches of the path along which the truth is known."""
         self._truth_seen = -math.inf
         """[s] when the truth was known last."""
         self._truth_lost = False
         """Whether nobody has known it since, for longer than `TRUTH_GAP`."""
-        self._odometry: list[Floats] = [np.asarray(info.source.start, float)]
+        self._odometry: list[Floats] = [] if trunk else [np.asarray(info.source.start, float)]
         first = info.source.steps[0].frame.time if info.source.steps else 0.0
         self._time_origin = first if abs(first) > EPOCH else 0.0
 
@@ -67,16 +99,42 @@ class Writer:
         self._lift = scene.LIFT * self._height
         self._unit: dict[str, float] = {}
         self._labelled: dict[str, float] = {}
-        keys = [f.key for f in info.filters]
-        self._styles = {k: scene.Style(colours.of_filter(k), rank, self._lift) for rank, k in enumerate(keys)}
-        self._many = populations(keys)
-        bands = charts.bands(len(self._many), info.steps)
-        self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
-        title = f"{info.source.name}, seed {info.seed}"
-        views = layout(info.filters, extent, known_of(info.source, info.steps), self._features.LEGEND)
-        self._stream = Stream(path, views, title)
+        known_of_it = known_of(info.source, info.steps)
+        self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND)
+        if trunk is not None:
+            self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
+        self._trunk = trunk
+        landmarks_there = 0 if info.source.true_map is None else len(info.source.true_map.theta)
+        self._crowd = scene.crowding(landmarks_there)
+        self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
+        self._branches: dict[str, Writer] = {}
+        self._on = {f.key for f in info.filters}
+        self._arrange()
+        title = self._shown.named(f"{info.source.name}, seed {info.seed}")
+        self._stream = open_stream(layout_of_branches([self._shown]), title)
         self._write_static()
         self._stream.begun()
+
+    def fork(self, info: SessionInfo, name: str) -> Writer:
+        """A branch beside it, under `/branch/<name>/` and on the same timelines; of a branch, one beside that.
+
+        It shares the stream, so both are written from one thread, and closing the branch closes nothing.
+        """
+        if self._trunk is not None:
+            return self._trunk.writer.fork(info, name)
+        path = unused(slug(name), self._branches)
+        trunk = Trunk(self, f"branch/{path}/", name)
+        self._branches[path] = Writer(info, lambda *_: BranchStream(self._stream, path), trunk)
+        self.show()
+        return self._branches[path]
+
+    def show(self) -> None:
+        """Lay out the windows anew: the run with its branches."""
+        if self._trunk is not None:
+            self._trunk.writer.show()
+        else:
+            branches = [self._shown, *(branch._shown for branch in self._branches.values())]
+            self._stream.show(layout_of_branches(branches))
 
     def step(self, step: SessionStep) -> None:
         """One observing step.
@@ -88,6 +146,7 @@ class Writer:
         now = (step.index, step.frame.time - self._time_origin)
 
         self._stream.set_time(stage, *now)
+        self._notice(step.filters.keys())
         self._write_surroundings(step)
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
@@ -130,7 +189,6 @@ class Writer:
 
     def _write_static(self) -> None:
         info, log = self._info, self._stream.log_static
-        crowd = scene.crowding(0 if info.source.true_map is None else len(info.source.true_map.theta))
         described = texts.description(info, self._time_origin)
         self._stream.property("session", rr.AnyValues(json=json.dumps(described)))
         for entity, page in {
@@ -140,20 +198,51 @@ class Writer:
             log(entity, rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN))
         if info.source.true_map is not None:
             log("world/truth/map", self._features.true_map(info.source.true_map.theta, self._lift))
-        for entity, look in (scene.looks_of_surroundings() | self._features.looks_of_surroundings(crowd)).items():
+        for entity, look in (scene.looks_of_surroundings() | self._features.looks_of_surroundings(self._crowd)).items():
             log(f"world/{entity}", *look)
-        for f in info.filters:
-            rgb = colours.of_filter(f.key)
-            style = self._styles[f.key]
-            for entity, look in (scene.looks(style) | self._features.looks(style, crowd)).items():
+        for path, name in self._guides.items():
+            log(f"plots/{path}", rr.SeriesLines(names=self._shown.named(name), colors=GUIDE, widths=1.0))
+        self._write_looks()
+
+    def _arrange(self) -> None:
+        """Styles of the filters, and the parts of the picture of their ancestry."""
+        keys = [f.key for f in self._shown.filters]
+        self._styles = {k: scene.Style(colours.of_filter(k), rank, self._lift) for rank, k in enumerate(keys)}
+        self._many = populations(keys)
+        bands = charts.bands(len(self._many), self._info.steps)
+        self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
+
+    def _write_looks(self) -> None:
+        """What depends on which filters there are."""
+        log, branch = self._stream.log_static, self._trunk is not None
+        for f in self._shown.filters:
+            rgb, style, title = colours.of_filter(f.key), self._styles[f.key], self._shown.named(f.title)
+            for entity, look in (scene.looks(style) | self._features.looks(style, self._crowd)).items():
                 log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
-                log(f"plots/{metric.name}/{f.key}", rr.SeriesLines(names=f.title, colors=rgb, widths=1.8))
+                line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
+                log(f"plots/{metric.name}/{f.key}", line)
             if f.key in self._many:
                 log(f"genealogy/frame/{f.key}", *charts.ancestry_frame(self._bands[f.key], f.title, rgb))
-        for path, name in GUIDES.items():
-            log(f"plots/{path}", rr.SeriesLines(names=name, colors=GUIDE, widths=1.0))
         log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
+
+    def _notice(self, keys: Collection[str]) -> None:
+        """Filters that were switched on or off: the windows keep a place for what was there once."""
+        there = {f.key for f in self._shown.filters}
+        new = [ESTIMATORS[key] for key in keys if key not in there]
+        for key in self._on - set(keys):
+            self._stream.log(f"world/{key}", rr.Clear(recursive=True))
+            self._labelled = {
+                entity: u for entity, u in self._labelled.items() if not entity.startswith(f"world/{key}/")
+            }
+        self._on = set(keys)
+        if new:
+            order = list(ESTIMATORS)
+            filters = sorted([*self._shown.filters, *new], key=lambda f: order.index(f.key))
+            self._shown = self._shown._replace(filters=tuple(filters))
+            self._arrange()
+            self._write_looks()
+            self.show()
 
     def _write_surroundings(self, step: SessionStep) -> None:
         redraw = due(step.index, self._info.steps, self._limits.paths)
@@ -234,7 +323,8 @@ class Writer:
             low, high = nees_interval(2)
             values = (low, high, log_nees(low), log_nees(high), step.params.resample_below * step.params.particles)
             for path, value in zip(GUIDES, values, strict=True):
-                self._stream.log(f"plots/{path}", rr.Scalars(value))
+                if path in self._guides:
+                    self._stream.log(f"plots/{path}", rr.Scalars(value))
 
 
 def _spread(covariance: Floats) -> float:

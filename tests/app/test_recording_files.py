@@ -252,9 +252,9 @@ AT_THE_END = """
 import sys
 from pathlib import Path
 import numpy as np, rerun as rr, rerun.blueprint as rrb
-from app.recording.stream import Stream
+from app.recording.stream import FileStream
 
-stream = Stream(Path({path!r}), rrb.Blueprint(), "full")
+stream = FileStream(Path({path!r}), rrb.Blueprint(), "full")
 stream.begun()
 rng = np.random.default_rng(0)  # 48 kB a step, which no compression makes much smaller
 for stage in range(20):
