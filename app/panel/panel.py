@@ -154,9 +154,8 @@ class Panel:
         """The whole page, for the world that the session is in."""
         gui = self._gui
         gui.reset()
-        gui.configure_theme(
-            dark_mode=True, show_logo=False, show_share_button=False, control_layout="fixed", control_width="large"
-        )
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        gui.main_panel.dock_left()
         gui.set_panel_label(LABEL)
         source = status.info.source
         self.controls = Controls(gui, self._put)
