@@ -238,7 +238,9 @@ def test_run_to_an_event(live):
     assert not status.playing
     assert "resampled" in status.message
     assert status.step == next(
-        stepped.step.index for stepped in notes.steps if any(u.trace.did_resample for u in stepped.step.filters.values())
+        stepped.step.index
+        for stepped in notes.steps
+        if any(u.trace.did_resample for u in stepped.step.filters.values())
     )
 
 
@@ -457,8 +459,6 @@ def twenty_changes(engine):
         )
         engine.step()
         at(engine, i + 1)
-
-
 
 
 def test_a_replay_is_the_session_bit_for_bit(live, source):
