@@ -38,6 +38,7 @@ class LiveHost:
     """The server and what leads to it.  Close it when all is over; whatever happens, it ends with this process."""
 
     def __init__(self, memory: str = MEMORY) -> None:
+        said = ""
         for _ in range(TRIES):
             grpc, web = free_ports(2)
             self._program = Program(
@@ -60,7 +61,10 @@ class LiveHost:
         self._relay = Relay(grpc)
         self.url = address(self._relay.port)
         """For viewers, as they want it: `rerun+http://127.0.0.1:<port>/proxy`."""
-        self.port = self._relay.port
+        self.origin = f"http://127.0.0.1:{self._relay.port}"
+        """The same for a browser."""
+        self.query = viewer_query(self.url)
+        """What the address of the web viewer ends in, so that it shows this and nothing else."""
 
     def open(self, blueprint: rrb.Blueprint, name: str) -> Stream:
         """A new recording, which becomes the one that viewers show.  An `OpenStream`."""
@@ -130,7 +134,7 @@ def address(port: int) -> str:
 
 
 def viewer_query(url: str) -> str:
-    """What the address of the web viewer ends in, so that it opens a server and nothing else."""
+    """For the web viewer: what to open, and how to look."""
     return urllib.parse.urlencode({"url": url, "hide_welcome_screen": "1", "theme": "dark", "persist": "0"})
 
 
