@@ -8,6 +8,7 @@ effect.
 
 from __future__ import annotations
 
+import os
 import socket
 import urllib.error
 import urllib.parse
@@ -38,6 +39,7 @@ class LiveHost:
     """The server and what leads to it.  Close it when all is over; whatever happens, it ends with this process."""
 
     def __init__(self, memory: str = MEMORY) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised here as `RecordingLost`
         said = ""
         for _ in range(TRIES):
             grpc, web = free_ports(2)

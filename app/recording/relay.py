@@ -24,7 +24,7 @@ WAITING = 1 << 23
 KERNEL = 1 << 18
 """[bytes] that the system may hold back for a viewer: with more it would seem to take what it does not."""
 
-STUCK_AFTER = 5.0
+STUCK_AFTER = 10.0
 """[s] without taking a byte, although some wait."""
 
 BEHIND_AFTER = 20.0
