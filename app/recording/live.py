@@ -126,6 +126,10 @@ class LiveStream(Stream):
             self._told = True
             raise RecordingLost("Rerun's server has ended; the Rerun view shows nothing new")
 
+    def close(self) -> None:
+        """Send what is left; viewers keep showing it."""
+        self._rec.disconnect()
+
     def _connect(self, blueprint: rrb.Blueprint) -> None:
         self._rec.connect_grpc(self._host.inner, default_blueprint=blueprint)
 
@@ -159,7 +163,7 @@ def _answers(port: int) -> bool:
 
 def _serves(port: int) -> bool:
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/favicon.ico", timeout=5.0):
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/favicon.ico", timeout=1.0):
             return True
     except (OSError, ValueError):
         return False

@@ -172,7 +172,7 @@ class BranchStream(Stream):
 
     def property(self, name: str, what: Any) -> None:
         """Of the branch as a whole."""
-        self._trunk.property(f"{name}/{self._name}", what)
+        self._trunk.property(f"{name}-{self._name}", what)
 
     def show(self, blueprint: rrb.Blueprint) -> None:
         """Lay out anew every window that shows the recording."""
