@@ -18,6 +18,13 @@ from slam.types import Estimator, Floats
 MAP_ASPECT = 1.8
 """Width over height of the map view, at the usual 16:9 of a window."""
 
+PAGE_ASPECT = 1.15
+"""The same beside the panel of the live page."""
+
+STACKED = 0.8
+"""Two maps lie above each other if the place, width over height, is longer than the map view by this factor; below,
+the eye is at most 1.6 times as far away as for a map alone, and still tells the layers apart (`scene.LIFT`)."""
+
 BACKGROUND = colours.BACKGROUND
 
 TRUNK = "The run"
@@ -40,6 +47,8 @@ class Shown(NamedTuple):
     """Of all entities: nothing, or `branch/<name>/`."""
     label: str = ""
     """Name of the branch, for people."""
+    aspect: float = MAP_ASPECT
+    """Width over height of the map view."""
 
     def at(self, path: str) -> str:
         """The entity that has this path in a recording of its own."""
@@ -81,20 +90,27 @@ def layout_of_branches(branches: Sequence[Shown]) -> rrb.Blueprint:
 
 
 def _together(branches: Sequence[Shown]) -> rrb.Container:
-    """All filters: of one run below each other, of the run and its latest branch side by side."""
+    """All filters: of one run, or of the run beside its latest branch."""
+    name = "All filters"
     if len(branches) == 1:
-        return _map_and_close_ups(branches[0], "All filters")
-    pair = [_map_and_close_ups(branch, branch.label or TRUNK) for branch in (branches[0], branches[-1])]
-    return rrb.Horizontal(*pair, name="All filters")
+        return rrb.Vertical(_map_of_all(branches[0]), _close_ups(branches[0]), row_shares=[5, 3], name=name)
+    width, height = branches[0].extent.high - branches[0].extent.low
+    stacked = width > STACKED * branches[0].aspect * height
+    pair = [
+        branch._replace(aspect=branch.aspect * (2.0 if stacked else 0.5), label=branch.label or TRUNK)
+        for branch in (branches[0], branches[-1])
+    ]
+    beside = rrb.Vertical if stacked else rrb.Horizontal
+    maps, close_ups = beside(*map(_map_of_all, pair)), rrb.Horizontal(*map(_close_ups, pair))
+    return rrb.Vertical(maps, close_ups, row_shares=[5, 2], name=name)
 
 
-def _map_and_close_ups(branch: Shown, name: str) -> rrb.Container:
-    return rrb.Vertical(
-        _map_view(_legend(branch) + branch.legend, branch, branch.filters),
-        rrb.Horizontal(*(_close_up(f, "focus", branch.named(f.title), branch) for f in branch.filters)),
-        row_shares=[5, 3],
-        name=name,
-    )
+def _map_of_all(branch: Shown) -> rrb.Spatial3DView:
+    return _map_view(_legend(branch) + branch.legend, branch, branch.filters)
+
+
+def _close_ups(branch: Shown) -> rrb.Container:
+    return rrb.Horizontal(*(_close_up(f, "focus", branch.named(f.title), branch) for f in branch.filters))
 
 
 def _of_one(estimator: Estimator, branch: Shown) -> rrb.Container:
@@ -131,7 +147,7 @@ def _map_view(name: str, branch: Shown, filters: Sequence[Estimator], whole: boo
         overrides={f"{root}/{what}": rrb.EntityBehavior(visible=False) for root in roots for what in crowd},
         background=BACKGROUND,
         line_grid=_grid(grid),
-        eye_controls=_eye(extent.centre, extent.eye_height(MAP_ASPECT)),
+        eye_controls=_eye(extent.centre, extent.eye_height(branch.aspect)),
     )
 
 

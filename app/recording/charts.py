@@ -20,7 +20,7 @@ WINDOW = 120
 LINES = 48
 """Living particles whose ancestry it shows, and as many that died."""
 
-WIDTH, HEIGHT, GAP, LEFT = 165.0, 100.0, 6.0, 42.0
+WIDTH, HEIGHT, GAP, LEFT = 165.0, 100.0, 6.0, 66.0
 """Of the whole picture, between the bands of the filters, and of the margin that holds their names."""
 
 
@@ -63,7 +63,7 @@ def ancestry_frame(band: Band, title: str, rgb: colours.RGB) -> tuple[rr.LineStr
     top, bottom = band.top, band.top + band.height
     box = [[0, top], [WIDTH, top], [WIDTH, bottom], [0, bottom], [0, top]]
     name = rr.Points2D(
-        [[-0.55 * LEFT, 0.5 * (top + bottom) - 2.0]], labels=title, show_labels=True, radii=0.0, colors=rgb
+        [[-0.5 * LEFT, 0.5 * (top + bottom) - 2.0]], labels=title, show_labels=True, radii=0.0, colors=rgb
     )
     return rr.LineStrips2D([box], colors=(60, 60, 60), radii=rr.Radius.ui_points(0.5), draw_order=0.0), name
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from app.recording.errors import MAGIC, RecordingError
+from app.recording.program import binary
 from slam.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def repair(path: str | Path, out: str | Path | None = None) -> Path:
     _check(path)
     out = path.with_name(f"{path.stem}-repaired.rrd") if out is None else Path(out)
     done = subprocess.run(
-        [str(_binary()), "rrd", "optimize", str(path), "-o", str(out)],
+        [str(binary()), "rrd", "optimize", str(path), "-o", str(out)],
         capture_output=True,
         text=True,
         timeout=PATIENCE,
@@ -165,11 +166,3 @@ def open_reader(path: Path) -> RrdReader:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return RrdReader(path)
-
-
-def _binary() -> Path:
-    """Rerun's own program, which comes with the package."""
-    import rerun_cli
-
-    folder = Path(rerun_cli.__file__).parent
-    return next((p for p in (folder / "rerun", folder / "rerun.exe") if p.exists()), folder / "rerun")

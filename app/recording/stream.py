@@ -19,6 +19,9 @@ APPLICATION = "dual-fastslam"
 FLUSH_EVERY = 0.5
 """[s] after which what was logged is in the file, however slow the steps are: what a kill may cost."""
 
+FLUSH_LIVE = 0.1
+"""[s] after which a viewer gets it."""
+
 PATIENCE = 20.0
 """[s] that a slow disk is given."""
 
@@ -50,10 +53,10 @@ def _check_replaceable(path: Path) -> None:
 class Stream:
     """Log here, from one thread.  Where it goes is a matter of the kinds of streams below."""
 
-    def __init__(self, blueprint: rrb.Blueprint, name: str) -> None:
+    def __init__(self, blueprint: rrb.Blueprint, name: str, flush_every: float = FLUSH_EVERY) -> None:
         import rerun as rr
 
-        self._rec = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_EVERY))
+        self._rec = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=flush_every))
         if not rr.is_enabled(self._rec):
             raise RecordingError(
                 f"the environment variable RERUN={os.environ.get('RERUN', '')} turns recording off; unset it to record"
@@ -169,7 +172,7 @@ class BranchStream(Stream):
 
     def property(self, name: str, what: Any) -> None:
         """Of the branch as a whole."""
-        self._trunk.property(f"{name}/{self._name}", what)
+        self._trunk.property(f"{name}-{self._name}", what)
 
     def show(self, blueprint: rrb.Blueprint) -> None:
         """Lay out anew every window that shows the recording."""

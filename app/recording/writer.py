@@ -78,8 +78,10 @@ class Trunk(NamedTuple):
 class Writer:
     """One recording that is being written, or a branch of one."""
 
-    def __init__(self, info: SessionInfo, open_stream: OpenStream, trunk: Trunk | None = None) -> None:
-        """`trunk` is what a branch belongs to; `fork` makes one."""
+    def __init__(
+        self, info: SessionInfo, open_stream: OpenStream, aspect: float = MAP_ASPECT, trunk: Trunk | None = None
+    ) -> None:
+        """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`)."""
         self._info = info
         self._limits = limits_for(info.steps)
         self._features = walls if isinstance(info.source.feature, Wall) else landmarks
@@ -95,12 +97,12 @@ class Writer:
         self._time_origin = first if abs(first) > EPOCH else 0.0
 
         extent = extent_of(info.source, info.steps)
-        self._size, self._height = extent.size, extent.eye_height(MAP_ASPECT)
+        self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
         self._unit: dict[str, float] = {}
         self._labelled: dict[str, float] = {}
         known_of_it = known_of(info.source, info.steps)
-        self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND)
+        self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
         if trunk is not None:
             self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
         self._trunk = trunk
@@ -124,7 +126,7 @@ class Writer:
             return self._trunk.writer.fork(info, name)
         path = unused(slug(name), self._branches)
         trunk = Trunk(self, f"branch/{path}/", name)
-        self._branches[path] = Writer(info, lambda *_: BranchStream(self._stream, path), trunk)
+        self._branches[path] = Writer(info, lambda *_: BranchStream(self._stream, path), self._shown.aspect, trunk)
         self.show()
         return self._branches[path]
 

@@ -24,7 +24,7 @@ T = TypeVar("T")
 class Viewer:
     """A viewer process of its own, that listens on 127.0.0.1 only.  Use it as a context manager."""
 
-    def __init__(self, recording: Path) -> None:
+    def __init__(self, recording: Path | str) -> None:
         import rerun_cli
 
         self.recording = recording
@@ -67,6 +67,17 @@ class Viewer:
     def timelines(self) -> set[str]:
         """Names of the timelines of the recording."""
         return {t.name for t in self._state().recordings[0].timelines}
+
+    def last_step(self) -> int | None:
+        """The last step that the first recording has."""
+        return next((int(t.end) for t in self._state().recordings[0].timelines if t.name == "step"), None)
+
+    def active(self) -> int | None:
+        """Which of the recordings is shown, the first being 0."""
+        state = self._state()
+        names = [recording.store_id for recording in state.recordings]
+        active = state.active_recording
+        return names.index(active) if active in names else None
 
     def bring_to_front(self, view: Any) -> None:
         """Choose the tabs that the view lies behind."""
@@ -155,7 +166,7 @@ class ViewerDied(RuntimeError):
     """The viewer could not be started, or showed nothing."""
 
 
-def required_viewer(recording: Path) -> Viewer:
+def required_viewer(recording: Path | str) -> Viewer:
     """A started viewer; a machine that cannot draw skips the test, but never on CI."""
     viewer = Viewer(recording)
     try:
