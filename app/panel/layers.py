@@ -115,7 +115,7 @@ class GroundLayers(Layers):
         self.path = Strokes(scene, "/map/truth/path", 1.2, colours.faded(white, 0.3))
         self.heading = Strokes(scene, "/map/truth/heading", 2.4, white)
         self.robot = Strokes(scene, "/map/truth/robot", 9.0, white)
-        self.scale = scene.add_label("/map/scale", "", anchor="bottom-left", font_screen_scale=0.8)
+        self.scale = scene.add_label("/map/scale", "", anchor="bottom-left", font_screen_scale=0.7)
         self.nodes = {
             self.grid: GRID,
             self.map: TRUE_MAP,
@@ -137,7 +137,7 @@ class GroundLayers(Layers):
         self._walls = isinstance(info.source.feature, Wall)
         self._crowd = _crowding(0 if info.source.true_map is None else len(info.source.true_map.theta))
         white, yellow = colours.TRUTH_ON_DARK, colours.WARNING
-        self.map.look(4.0 if self._walls else 9.0 * self._crowd, colours.faded(white, 0.74 if self._walls else 0.5))
+        self.map.look(3.0 if self._walls else 9.0 * self._crowd, colours.faded(white, 0.74 if self._walls else 0.5))
         self.seen.look(2.0 if self._walls else 1.0, colours.faded(yellow, 0.4 if self._walls else 0.6))
         self._draw_grid(extent)
 
@@ -149,7 +149,7 @@ class GroundLayers(Layers):
         level = np.stack([np.stack([np.full_like(y, edge), y], axis=1) for edge in (low[0], high[0])], axis=1)
         self.grid.put(np.concatenate([upright, level]) - extent.centre)
         self.scale.text = f"one square: {mesh:g} m"
-        self.scale.position = (*(low - extent.centre), 0.0)
+        self.scale.position = (*(extent.low - extent.centre), 0.0)
 
     def draw_start(self, info: SessionInfo, view: View) -> None:
         """Before the first step."""
@@ -236,11 +236,11 @@ class FilterLayers(Layers):
         self.lineages = Strokes(scene, f"{top}/lineages", 1.0)
         self.map_ellipses = Ellipses(scene, f"{top}/map_ellipses", 0.2, rgb)
         self.bands = Strokes(scene, f"{top}/bands", 1.0, colours.faded(rgb, 0.5))
-        self.path = Strokes(scene, f"{top}/path", 1.3 + 0.9 * rank, colours.faded(rgb, 0.1))
+        self.path = Strokes(scene, f"{top}/path", 1.2 + 0.7 * rank, colours.faded(rgb, 0.1))
         self.map = Strokes(scene, f"{top}/map", 2.0)
         self.ellipses = Ellipses(scene, f"{top}/ellipses", 0.1, rgb)
         self.headings = Strokes(scene, f"{top}/headings", 1.0, colours.faded(rgb, 0.35))
-        self.dots = Strokes(scene, f"{top}/dots", 2.6 + 0.9 * rank)
+        self.dots = Strokes(scene, f"{top}/dots", 3.2 + 0.9 * rank)
         self.nodes = {
             self.lineages: LINEAGES,
             self.map_ellipses: MAP_ELLIPSES,
@@ -256,7 +256,7 @@ class FilterLayers(Layers):
         """Another world."""
         landmarks = 0 if info.source.true_map is None else len(info.source.true_map.theta)
         walls = isinstance(info.source.feature, Wall)
-        self.map.look(1.8 + 1.4 * self.rank if walls else _crowding(landmarks) * (5.0 + 1.6 * self.rank))
+        self.map.look(1.4 + 1.2 * self.rank if walls else _crowding(landmarks) * (5.0 + 1.6 * self.rank))
 
     def draw(self, where: Where, update: FilterUpdate, walls: bool, view: View) -> Shown:
         """After a step."""
@@ -321,8 +321,8 @@ class PickLayers(Layers):
 
     def __init__(self, scene: viser.SceneApi) -> None:
         super().__init__()
-        self.path = Strokes(scene, "/map/pick/path", 1.6, colours.faded(PICKED, 0.2))
-        self.map = Strokes(scene, "/map/pick/map", 2.4, PICKED)
+        self.path = Strokes(scene, "/map/pick/path", 1.2, colours.faded(PICKED, 0.2))
+        self.map = Strokes(scene, "/map/pick/map", 1.4, PICKED)
         self.outline = Strokes(scene, "/map/pick/outline", 1.6, PICKED)
         self.heading = Strokes(scene, "/map/pick/heading", 2.0, PICKED)
         self.dot = Strokes(scene, "/map/pick/dot", 6.0, PICKED)
@@ -341,6 +341,7 @@ class PickLayers(Layers):
         self.path.put(shapes.line(view.at(thinned(ancestry(pick), VERTICES))))
         theta = weighted.maps.features(k)[0]
         theta = theta[sample(len(theta), MOST_FEATURES)]
+        self.map.look(1.2 if walls else 3.0)
         self.map.put(view.at(ends(theta)) if walls else view.dots(theta))
 
 

@@ -50,7 +50,7 @@ class TopView:
         self._number = -1
         self._camera: TopCamera | None = None
         self._status: Status | None = None
-        self._drawn: tuple[Any, ...] = ()
+        self._drawn: tuple[Any, ...] | None = None
         self._off: frozenset[str] = frozenset()
         self._pick: Pick | None = None
         self._notice = HINT
@@ -175,7 +175,7 @@ class TopView:
 
     def _begin(self, info: SessionInfo) -> None:
         another = self._info is None or info.source is not self._info.source
-        self._info, self._status, self._drawn, self._shown = info, None, (), {}
+        self._info, self._status, self._drawn, self._shown = info, None, None, {}
         if self._pick is not None:
             self._pick, self._notice = None, BEGUN_AGAIN
         for nodes in self._all:
@@ -215,8 +215,8 @@ class TopView:
             return
         view, walls = self._view(self._camera), isinstance(status.info.source.feature, Wall)
         how = (where(status), view.pixel, self._off)
-        same = len(self._drawn) > 0 and self._drawn[0] is status.taken and self._drawn[1] == how
-        if same and self._drawn[2] is self._pick:
+        same = self._drawn is not None and self._drawn[0] is status.taken and self._drawn[1] == how
+        if same and self._drawn is not None and self._drawn[2] is self._pick:
             return
         with self._server.atomic():
             if not same:
