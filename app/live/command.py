@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-import threading
 import webbrowser
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
 from typing import Annotated, Literal, get_args
 
 from rich.console import Console
@@ -30,6 +29,9 @@ ViewerName = Literal["web", "native", "none"]
 
 PATIENCE = 30.0
 """[s] that everything may take to end."""
+
+LOOK_EVERY = 0.2
+"""[s] after which Ctrl-C takes effect at the latest."""
 
 PORTS = Interval(1024, 65535)
 
@@ -82,57 +84,51 @@ class Workbench:
     """Everything that runs: the session, the panel, the page, viewers and files; what is opened goes on the stack."""
 
     def __init__(self, options: Live, info: SessionInfo, out: Console, stack: ExitStack) -> None:
-        from app.live.engine import Engine
-        from app.live.page import Page
+        from app.live.engine import Engine, Listener
+        from app.live.page import Page, Viewer
         from app.live.publisher import VIEWER_STEPS, Publisher
         from app.live.records import Records
         from app.live.trend import Trend
         from app.panel.panel import Panel
         from app.panel.scene import TopView
         from app.recording.live import LiveHost
-        from app.recording.session import SessionWriter
-        from app.recording.stream import check_path, file_stream
+        from app.recording.session import SessionWriter, file_streams
+        from app.recording.stream import check_path
         from app.sources import LogParts, load
         from scenarios.registry import worlds
 
         self._out = out
-        self._stop = threading.Event()
         if options.record is not None:
             check_path(options.record)
         trend = Trend()
-        listeners: list = [trend]
+        listeners: list[Listener] = [trend]
         self._publisher: Publisher | None = None
-        self._host: LiveHost | None = None
-        if options.viewer != "none":
-            self._host = LiveHost()
-            stack.callback(self._host.close)
-            self._publisher = Publisher(SessionWriter(self._host.open), "drop", VIEWER_STEPS)
+        viewer: Viewer | None = None
+        host = None if options.viewer == "none" else LiveHost()
+        if host is not None:
+            stack.callback(host.close)
+            self._publisher = Publisher(SessionWriter(lambda number: host.open), "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
+            if options.viewer == "web":
+                viewer = Viewer(host.files, host.origin, host.query)
         self.engine = Engine(info, listeners, playing=not options.paused)
         stack.callback(self.engine.close, PATIENCE)
         self.records = Records(
             self.engine,
             options.record.parent if options.record else Path(),
-            lambda path: SessionWriter(lambda number: file_stream(path, number)),
+            lambda path: SessionWriter(file_streams(path)),
             check_path,
         )
         if options.record is not None:
             out.print(self.records.start_at(options.record), soft_wrap=True, markup=False)
         self.panel = Panel(
-            self.engine,
-            trend,
-            self.records,
-            list(worlds()),
-            lambda name: load(name, {}, LogParts()),
-            view=TopView,
+            self.engine, trend, self.records, list(worlds()), lambda name: load(name, {}, LogParts()), view=TopView
         )
         stack.callback(self.panel.close)
-        self.page = Page(
-            self.panel.port, self._host.web_url if self._host and options.viewer == "web" else None, options.port
-        )
+        self.page = Page(f"http://127.0.0.1:{self.panel.port}", viewer, options.port or 0)
         stack.callback(self.page.close)
-        if self._host is not None and options.viewer == "native":
-            self._host.open_native()
+        if host is not None and options.viewer == "native":
+            stack.callback(host.open_native().close)
         self.engine.start()
 
     @property
@@ -142,9 +138,10 @@ class Workbench:
 
     def serve(self, interrupts: Interrupts) -> None:
         """Until an interruption."""
-        while not self._stop.wait(0.25):
+        while True:
             interrupts.check()
             self.records.keep()
+            sleep(LOOK_EVERY)
 
     def end(self) -> None:
         """Save everything, and say so."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 from app.live.engine import Begun, Forked, Stepped
-from app.recording.stream import OpenStream
+from app.recording.stream import FileStream, OpenStream
 from app.recording.writer import Writer
 from app.types import SessionInfo
 from slam.estimators import ESTIMATORS
@@ -58,3 +60,17 @@ class SessionWriter:
         assert self._first is not None
         assert self._info is not None
         return self._first.fork(self._info, name)
+
+
+def file_streams(path: Path) -> Callable[[int], OpenStream]:
+    """FILE.rrd for the first session, FILE-2.rrd, FILE-3.rrd ... for those after a reset; none is overwritten."""
+    first: list[int] = []
+
+    def stream(number: int) -> OpenStream:
+        first.append(number)
+        if number == first[0]:
+            return partial(FileStream, path)
+        names = (path.with_name(f"{path.stem}-{i}.rrd") for i in range(number - first[0] + 1, 10_000))
+        return partial(FileStream, next(other for other in names if not other.exists()))
+
+    return stream
