@@ -23,6 +23,9 @@ FARTHEST = 9000.0
 ASPECT, HEIGHT = 0.7, 700
 """Width over height, and height in pixels, of a view of which nobody has told yet."""
 
+SHARE = 0.5
+"""Of the height of a view that is free, above the controls."""
+
 NEAR, FAR, CLOSEST, OUT = 1 / 400, 4.0, 1 / 200, 3.0
 """Clipping planes and limits of the zoom, over the height from which all is seen."""
 
@@ -37,8 +40,8 @@ class TopCamera:
 
     def __init__(self, extent: Extent) -> None:
         x, y = (float(c) for c in extent.centre)
-        self.look_at: Vector = (x, y, 0.0)
         self._extent = extent
+        self.look_at: Vector = (x, y - 0.5 * (1.0 - SHARE) * self._tall(ASPECT), 0.0)
         self.height = min(self._tall(ASPECT) / (2.0 * math.tan(0.5 * FIELD)), FARTHEST)
         """[m] from where a view of the common shape sees all."""
         self.field = 2.0 * math.atan(0.5 * self._tall(ASPECT) / self.height)
@@ -57,7 +60,7 @@ class TopCamera:
     def _tall(self, aspect: float) -> float:
         """[m] that a view must show from bottom to top."""
         width, height = self._extent.high - self._extent.low
-        return float(MARGIN * max(height, width / aspect, 1.0))
+        return float(MARGIN * max(height / SHARE, width / aspect, 1.0))
 
     def position(self, aspect: float = ASPECT) -> Vector:
         """From where a view of this shape sees all."""

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+import rich
 import viser
 
 from app.errors import sentence
@@ -23,6 +24,9 @@ from slam.estimators import ESTIMATORS
 
 RATE = 8.0
 """[1/s]"""
+
+WIDTH, HEIGHT = 580, 430
+"""[px] of the controls, at the lower edge; the picture is above them."""
 
 LABEL = "Dual FastSLAM workbench"
 
@@ -113,6 +117,7 @@ class Panel:
         self._records = records
         self._worlds = list(worlds)
         self._open_world = open_world
+        rich.get_console().quiet = True  # viser says there where it listens, and when it stops
         self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
         self._gui = self.server.gui
         self._view = view(self.server) if view else None
@@ -155,7 +160,7 @@ class Panel:
         gui = self._gui
         gui.reset()
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
-        gui.main_panel.dock_left()
+        gui.main_panel.float(x=0, y=-1, width=WIDTH, height=HEIGHT)
         gui.set_panel_label(LABEL)
         source = status.info.source
         self.controls = Controls(gui, self._put)
