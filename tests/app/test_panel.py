@@ -89,6 +89,10 @@ def press(button):
     button.value = True
 
 
+def go(panel, what):
+    panel.go.value = what
+
+
 def test_every_parameter_that_may_change_has_a_control(points):
     walls = build("corridor", length=30.0)
     from dataclasses import fields
@@ -171,7 +175,7 @@ def test_controls_follow_the_desk(live):
 
 def test_the_transport(live):
     engine, panel, _ = live
-    press(panel.step)
+    go(panel, "Step")
     at(engine, 1)
     press(panel.play)
     engine.wait(lambda s: s.playing and s.step >= 3)
@@ -182,13 +186,13 @@ def test_the_transport(live):
     for name in SPEEDS:
         panel.speed.value = name
     panel.until.value = "the next resampling"
-    press(panel.run_to)
+    go(panel, "Run to event")
     status = engine.wait(lambda s: "resampled" in s.message or "ends here" in s.message)
     assert not status.playing
     soon(lambda: "resampled" in panel.message.content or "ends here" in panel.message.content)
     panel.speed.value = "at the speed of light"
     panel.until.value = "doomsday"
-    press(panel.run_to)
+    go(panel, "Run to event")
     engine.wait(lambda s: "ends here" in s.message, PATIENCE)
     assert set(UNTIL) == set(panel.until.options)
 
@@ -198,7 +202,7 @@ def test_switching_filters(live):
     panel.filters["fs2"].value = False
     panel.filters["ekf"].value = True
     soon(lambda: engine.desk.read().filters == ("dfs", "fs1", "ekf"))
-    press(panel.step)
+    go(panel, "Step")
     assert list(at(engine, 1).taken.step.filters) == ["dfs", "fs1", "ekf"]
     soon(lambda: "EKF-SLAM" in panel.table.content)
     for key in ("dfs", "fs1", "ekf"):
@@ -225,12 +229,12 @@ def test_time_travel_and_branches(live):
     at(engine, 7)
     soon(lambda: "step **7**" in panel.headline.content)
     assert engine.status.newest == 20  # showing it has made nothing new
-    press(panel.back)
+    go(panel, "Step back")
     at(engine, 6)
     bound(panel, "particles").handle.value = 90
     press(panel.branch)
     engine.wait(lambda s: s.branch == "6-particles-90")
-    press(panel.step)
+    go(panel, "Step")
     status = at(engine, 7)
     assert len(status.taken.step.filters["dfs"].trace.weighted.s) == 90
     soon(lambda: tuple(panel.branches.options) == (TRUNK, "6-particles-90"))
@@ -351,7 +355,7 @@ def test_a_client_changes_the_particles(live, client):
     engine, panel, _ = live
     client.set(bound(panel, "particles").handle, 500)
     soon(lambda: engine.desk.read().params.particles == 500)
-    client.set(panel.step, True)
+    client.set(panel.go, "Step")
     assert len(at(engine, 1).taken.step.filters["dfs"].trace.weighted.s) == 500
 
 
@@ -381,7 +385,7 @@ def test_garbage_of_a_client_does_no_harm(live, client):
     late.camera()
     late.set(particles, 60)
     soon(lambda: engine.desk.read().params.particles == 60)
-    late.set(panel.step, True)
+    late.set(panel.go, "Step")
     at(engine, engine.status.step + 0) if engine.status.step else engine.wait(lambda s: s.step >= 1, PATIENCE)
     late.close()
 

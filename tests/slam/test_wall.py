@@ -214,7 +214,7 @@ def test_beyond_an_end_that_is_known_there_is_no_slack() -> None:
 
 
 def test_a_pose_that_is_uncertain_along_the_wall_gives_room() -> None:
-    """Two deviations of it, but no more than the ends of walls are known to: a door's width would join its two sides."""
+    """Two deviations of it, but no more than the ends of walls are known to: else doors would not divide walls."""
     theta = wall(5.0, -2.0, 0.0)
     for deviation, room in ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (5.0, 0.3)):
         P = np.diag([deviation, 9.0, 0.0]) ** 2  # across does not count
