@@ -29,6 +29,9 @@ NEAR, FAR, CLOSEST, OUT = 1 / 400, 4.0, 1 / 200, 3.0
 LIFT = 3e-5
 """Between two layers, over that height: told apart also by browsers without a reversed depth buffer."""
 
+LARGEST = 1e9
+"""[m] Nothing is farther away; single precision would otherwise overflow where a filter has diverged."""
+
 Vector = tuple[float, float, float]
 
 
@@ -141,4 +144,4 @@ def on_ground(origin: Any, direction: Any) -> Floats | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         place = o[:2] - o[2] / d[2] * d[:2]
-    return place if np.isfinite(place).all() else None
+    return place if (np.abs(place) <= LARGEST).all() else None  # never true of NaN

@@ -259,7 +259,7 @@ class FilterLayers(Layers):
         self.map.look(1.4 + 1.2 * self.rank if walls else _crowding(landmarks) * (5.0 + 1.6 * self.rank))
 
     def draw(self, where: Where, update: FilterUpdate, walls: bool, view: View) -> Shown:
-        """After a step."""
+        """After a step; all but the lineages."""
         weighted, best = update.trace.weighted, int(update.measures.best)
         theta, Sigma, _ = weighted.maps.features(best)
         self._draw_map(theta, Sigma, walls, view)
@@ -268,7 +268,6 @@ class FilterLayers(Layers):
         else:
             path = update.genealogy.path(best_descendant(update))
             self.path.put(shapes.line(view.at(thinned(path, VERTICES))))
-        self._draw_lineages(update, view)
         return self._draw_particles(where, update, best, view)
 
     def _draw_map(self, theta: Floats, Sigma: Floats, walls: bool, view: View) -> None:
@@ -287,7 +286,8 @@ class FilterLayers(Layers):
         uncertain = ellipse_axes(Sigma)[0][:, 0] > 0.0
         self.map_ellipses.put(shapes.ellipses(view.at(theta[uncertain]), Sigma[uncertain], 0.5 * LEAST * view.pixel))
 
-    def _draw_lineages(self, update: FilterUpdate, view: View) -> None:
+    def draw_lineages(self, update: FilterUpdate, view: View) -> None:
+        """The paths that lead to living particles; takes as long as all the rest."""
         branches = [] if "lineages" in view.off else update.genealogy.branches()
         branches, rows, lengths = thinned_tree(branches, max(update.genealogy.steps, 1), VERTICES)
         segments, joined = shapes.lines(view.at(rows), lengths)

@@ -55,6 +55,8 @@ class TopView:
         self._pick: Pick | None = None
         self._notice = HINT
         self._shown: dict[str, Shown] = {}
+        self._stale: dict[str, None] = {}
+        """Filters whose lineages are those of an earlier step, the oldest first."""
         self._make_nodes()
         server.scene.on_click()(self._ground_clicked)
         server.scene.on_rect_select()(self._rectangle_drawn)
@@ -175,7 +177,8 @@ class TopView:
 
     def _begin(self, info: SessionInfo) -> None:
         another = self._info is None or info.source is not self._info.source
-        self._info, self._status, self._drawn, self._shown = info, None, None, {}
+        self._info, self._status, self._drawn = info, None, None
+        self._shown, self._stale = {}, {}
         if self._pick is not None:
             self._pick, self._notice = None, BEGUN_AGAIN
         for nodes in self._all:
@@ -216,11 +219,12 @@ class TopView:
         view, walls = self._view(self._camera), isinstance(status.info.source.feature, Wall)
         how = (where(status), view.pixel, self._off)
         same = self._drawn is not None and self._drawn[0] is status.taken and self._drawn[1] == how
-        if same and self._drawn is not None and self._drawn[2] is self._pick:
+        if same and not self._stale and self._drawn is not None and self._drawn[2] is self._pick:
             return
         with self._server.atomic():
             if not same:
                 self._draw_step(status, walls, view)
+            self._draw_lineages(status.playing, view)
             self._picked.draw(self._pick, walls, view)
         self._drawn = (status.taken, how, self._pick)
 
@@ -229,7 +233,7 @@ class TopView:
         if step is None or now is None:
             for nodes in self._filters.values():
                 nodes.hide()
-            self._shown = {}
+            self._shown, self._stale = {}, {}
             self._ground.draw_start(status.info, view)
             return
         self.trail.note(status.branch, step.index, step.odometry)
@@ -242,3 +246,11 @@ class TopView:
             else:
                 shown[key] = nodes.draw(now, update, walls, view)
         self._shown = shown
+        self._stale = dict.fromkeys([*(key for key in self._stale if key in shown), *shown])
+
+    def _draw_lineages(self, playing: bool, view: View) -> None:
+        """Those that were not drawn for longest, of one filter while the session runs: they are expensive."""
+        for key in list(self._stale)[: 1 if playing else None]:
+            del self._stale[key]
+            if key in self._shown:
+                self._filters[key].draw_lineages(self._shown[key].update, view)
