@@ -29,9 +29,6 @@ NEAR, FAR, CLOSEST, OUT = 1 / 400, 4.0, 1 / 200, 3.0
 LIFT = 3e-5
 """Between two layers, over that height: told apart also by browsers without a reversed depth buffer."""
 
-LARGEST = 1e9
-"""[m] Nothing is farther away; single precision would otherwise overflow where a filter has diverged."""
-
 Vector = tuple[float, float, float]
 
 
@@ -132,16 +129,3 @@ def _aspect(camera: Any) -> float:
         return float(camera.image_width) / float(camera.image_height)
     except (AssertionError, TypeError, ValueError, ZeroDivisionError):
         return ASPECT
-
-
-def on_ground(origin: Any, direction: Any) -> Floats | None:
-    """(2,) [m] where a ray meets the plane of the map; None for one that does not, or is none."""
-    try:
-        o, d = np.asarray(origin, float), np.asarray(direction, float)
-    except (TypeError, ValueError):
-        return None
-    if o.shape != (3,) or d.shape != (3,) or not np.isfinite([*o, *d]).all() or d[2] == 0.0:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):
-        place = o[:2] - o[2] / d[2] * d[:2]
-    return place if (np.abs(place) <= LARGEST).all() else None  # never true of NaN

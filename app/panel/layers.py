@@ -17,7 +17,6 @@ from app.live.engine import Status
 from app.panel import shapes
 from app.panel.nodes import Ellipses, Node, Strokes
 from app.panel.picking import Pick, Where, ancestry
-from app.panel.shapes import Discs
 from app.panel.trails import OdometryTrail
 from app.recording.ground import Extent, known, observer, returns, seen
 from app.recording.limits import sample, thinned, thinned_tree
@@ -215,15 +214,6 @@ class Shown(NamedTuple):
     update: FilterUpdate
     particles: Ints
     """(n,) by instance of the discs."""
-    discs: Discs
-    """About the centre of the map."""
-
-    def hit(self, here: Floats) -> bool:
-        """Whether one of its ellipses covers the place (2,) [m] about the centre."""
-        off, turns = here - self.discs.positions[:, :2], self.discs.turns
-        c, q = turns[:, 0] ** 2 - turns[:, 3] ** 2, 2.0 * turns[:, 0] * turns[:, 3]
-        along, across = c * off[:, 0] + q * off[:, 1], c * off[:, 1] - q * off[:, 0]
-        return bool(np.any(np.hypot(along / self.discs.sizes[:, 0], across / self.discs.sizes[:, 1]) <= 1.0))
 
 
 class FilterLayers(Layers):
@@ -313,7 +303,7 @@ class FilterLayers(Layers):
         else:
             some = s[sample(n, MOST_HEADINGS, n - 1)]
             self.headings.put(shapes.headings(view.poses(some), POINTER * view.pixel))
-        return Shown(where, update, chosen, discs)
+        return Shown(where, update, chosen)
 
 
 class PickLayers(Layers):

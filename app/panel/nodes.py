@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from app.colours import RGB
 from app.panel import tone
-from app.panel.camera import LARGEST
 from app.panel.shapes import Discs, unit_disc
 from slam.types import Floats
+
+LARGEST = 1e9
+"""[m] Nothing is farther away; single precision would otherwise overflow where a filter has diverged."""
 
 
 class Strokes:

@@ -7,15 +7,17 @@ What is shown of a filter is its step as weighted, before the resampling, as in 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 import numpy as np
 import viser
 
 from app.live.engine import Status
-from app.panel.camera import TopCamera, on_ground
+from app.panel.camera import TopCamera
 from app.panel.layers import FilterLayers, GroundLayers, Layers, PickLayers, Shown, View
 from app.panel.nodes import flat_light
 from app.panel.picking import BEGUN_AGAIN, HINT, Lost, Pick, described, followed, where
@@ -27,6 +29,9 @@ from slam.features import Wall
 
 LAYERS = ("truth", "odometry", "seen", "ellipses", "headings", "maps", "paths", "lineages")
 """What can be switched off.  Without ellipses, small discs remain to be clicked."""
+
+ONE_CLICK = 0.3
+"""[s] within which two tidings are of one click."""
 
 
 class TopView:
@@ -53,6 +58,7 @@ class TopView:
         self._drawn: tuple[Any, ...] | None = None
         self._off: frozenset[str] = frozenset()
         self._pick: Pick | None = None
+        self._picked_at = -math.inf
         self._notice = HINT
         self._shown: dict[str, Shown] = {}
         self._stale: dict[str, None] = {}
@@ -139,19 +145,14 @@ class TopView:
             if shown is None or index is None:
                 return
             self._pick = Pick(key, index, shown.where, shown.update)
+            self._picked_at = monotonic()
         if self._on_pick is not None:
             self._on_pick(key, index)
 
-    def _ground_clicked(self, event: Any) -> None:
-        """Clear the pick; but a click on a particle is told as one on the ground, too."""
-        place = on_ground(getattr(event, "ray_origin", None), getattr(event, "ray_direction", None))
-        with self._lock:
-            if place is None or self._camera is None:
-                return
-            here = place - self._camera.centre
-            if any(shown.hit(here) for shown in self._shown.values()):
-                return
-        self.clear()
+    def _ground_clicked(self, _: Any) -> None:
+        """Clear the pick; but a click on a particle is told as one on the ground, too, before it or after it."""
+        if monotonic() - self._picked_at > ONE_CLICK:
+            self.clear()
 
     def _rectangle_drawn(self, event: Any) -> None:
         """Zoom in; a drag would otherwise tilt a map that is flat."""
