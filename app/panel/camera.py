@@ -132,16 +132,3 @@ def _aspect(camera: Any) -> float:
         return float(camera.image_width) / float(camera.image_height)
     except (AssertionError, TypeError, ValueError, ZeroDivisionError):
         return ASPECT
-
-
-def on_ground(origin: Any, direction: Any) -> Floats | None:
-    """(2,) [m] where a ray meets the plane of the map; None for one that does not, or is none."""
-    try:
-        o, d = np.asarray(origin, float), np.asarray(direction, float)
-    except (TypeError, ValueError):
-        return None
-    if o.shape != (3,) or d.shape != (3,) or not np.isfinite([*o, *d]).all() or d[2] == 0.0:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):
-        place = o[:2] - o[2] / d[2] * d[:2]
-    return place if np.isfinite(place).all() else None

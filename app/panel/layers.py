@@ -17,7 +17,6 @@ from app.live.engine import Status
 from app.panel import shapes
 from app.panel.nodes import Ellipses, Node, Strokes
 from app.panel.picking import Pick, Where, ancestry
-from app.panel.shapes import Discs
 from app.panel.trails import OdometryTrail
 from app.recording.ground import Extent, known, observer, returns, seen
 from app.recording.limits import sample, thinned, thinned_tree
@@ -215,15 +214,6 @@ class Shown(NamedTuple):
     update: FilterUpdate
     particles: Ints
     """(n,) by instance of the discs."""
-    discs: Discs
-    """About the centre of the map."""
-
-    def hit(self, here: Floats) -> bool:
-        """Whether one of its ellipses covers the place (2,) [m] about the centre."""
-        off, turns = here - self.discs.positions[:, :2], self.discs.turns
-        c, q = turns[:, 0] ** 2 - turns[:, 3] ** 2, 2.0 * turns[:, 0] * turns[:, 3]
-        along, across = c * off[:, 0] + q * off[:, 1], c * off[:, 1] - q * off[:, 0]
-        return bool(np.any(np.hypot(along / self.discs.sizes[:, 0], across / self.discs.sizes[:, 1]) <= 1.0))
 
 
 class FilterLayers(Layers):
@@ -259,7 +249,7 @@ class FilterLayers(Layers):
         self.map.look(1.4 + 1.2 * self.rank if walls else _crowding(landmarks) * (5.0 + 1.6 * self.rank))
 
     def draw(self, where: Where, update: FilterUpdate, walls: bool, view: View) -> Shown:
-        """After a step."""
+        """After a step; all but the lineages."""
         weighted, best = update.trace.weighted, int(update.measures.best)
         theta, Sigma, _ = weighted.maps.features(best)
         self._draw_map(theta, Sigma, walls, view)
@@ -268,7 +258,6 @@ class FilterLayers(Layers):
         else:
             path = update.genealogy.path(best_descendant(update))
             self.path.put(shapes.line(view.at(thinned(path, VERTICES))))
-        self._draw_lineages(update, view)
         return self._draw_particles(where, update, best, view)
 
     def _draw_map(self, theta: Floats, Sigma: Floats, walls: bool, view: View) -> None:
@@ -287,7 +276,8 @@ class FilterLayers(Layers):
         uncertain = ellipse_axes(Sigma)[0][:, 0] > 0.0
         self.map_ellipses.put(shapes.ellipses(view.at(theta[uncertain]), Sigma[uncertain], 0.5 * LEAST * view.pixel))
 
-    def _draw_lineages(self, update: FilterUpdate, view: View) -> None:
+    def draw_lineages(self, update: FilterUpdate, view: View) -> None:
+        """The paths that lead to living particles; takes as long as all the rest."""
         branches = [] if "lineages" in view.off else update.genealogy.branches()
         branches, rows, lengths = thinned_tree(branches, max(update.genealogy.steps, 1), VERTICES)
         segments, joined = shapes.lines(view.at(rows), lengths)
@@ -313,7 +303,7 @@ class FilterLayers(Layers):
         else:
             some = s[sample(n, MOST_HEADINGS, n - 1)]
             self.headings.put(shapes.headings(view.poses(some), POINTER * view.pixel))
-        return Shown(where, update, chosen, discs)
+        return Shown(where, update, chosen)
 
 
 class PickLayers(Layers):

@@ -14,6 +14,9 @@ from app.panel import tone
 from app.panel.shapes import Discs, unit_disc
 from slam.types import Floats
 
+LARGEST = 1e9
+"""[m] Nothing is farther away; single precision would otherwise overflow where a filter has diverged."""
+
 
 class Strokes:
     """Line segments, or dots, of one thickness in pixels; of one colour, or each of its own."""
@@ -42,7 +45,7 @@ class Strokes:
             self.hide()
             return
         points = np.zeros((len(segments), 2, 3), np.float32)
-        points[..., :2] = segments
+        points[..., :2] = np.clip(segments, -LARGEST, LARGEST)
         self.handle.points = points
         if colours is not None:
             self.handle.colors = _both_ends(colours)
@@ -94,9 +97,9 @@ class Ellipses:
         if len(discs.positions) == 0:
             self.hide()
             return
-        self.handle.batched_positions = discs.positions.astype(np.float32)
+        self.handle.batched_positions = np.clip(discs.positions, -LARGEST, LARGEST).astype(np.float32)
         self.handle.batched_wxyzs = discs.turns.astype(np.float32)
-        self.handle.batched_scales = discs.sizes.astype(np.float32)
+        self.handle.batched_scales = np.minimum(discs.sizes, LARGEST).astype(np.float32)
         count = len(discs.positions)
         self.handle.batched_colors = np.repeat(self._colour, count, axis=0) if colours is None else tone.each(colours)
         if opacity is not None:

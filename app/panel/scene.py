@@ -7,15 +7,17 @@ What is shown of a filter is its step as weighted, before the resampling, as in 
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 import numpy as np
 import viser
 
 from app.live.engine import Status
-from app.panel.camera import TopCamera, on_ground
+from app.panel.camera import TopCamera
 from app.panel.layers import FilterLayers, GroundLayers, Layers, PickLayers, Shown, View
 from app.panel.nodes import flat_light
 from app.panel.picking import BEGUN_AGAIN, HINT, Lost, Pick, described, followed, where
@@ -27,6 +29,9 @@ from slam.features import Wall
 
 LAYERS = ("truth", "odometry", "seen", "ellipses", "headings", "maps", "paths", "lineages")
 """What can be switched off.  Without ellipses, small discs remain to be clicked."""
+
+ONE_CLICK = 0.3
+"""[s] within which two tidings are of one click."""
 
 
 class TopView:
@@ -53,8 +58,11 @@ class TopView:
         self._drawn: tuple[Any, ...] | None = None
         self._off: frozenset[str] = frozenset()
         self._pick: Pick | None = None
+        self._picked_at = -math.inf
         self._notice = HINT
         self._shown: dict[str, Shown] = {}
+        self._stale: dict[str, None] = {}
+        """Filters whose lineages are those of an earlier step, the oldest first."""
         self._make_nodes()
         server.scene.on_click()(self._ground_clicked)
         server.scene.on_rect_select()(self._rectangle_drawn)
@@ -137,19 +145,14 @@ class TopView:
             if shown is None or index is None:
                 return
             self._pick = Pick(key, index, shown.where, shown.update)
+            self._picked_at = monotonic()
         if self._on_pick is not None:
             self._on_pick(key, index)
 
-    def _ground_clicked(self, event: Any) -> None:
-        """Clear the pick; but a click on a particle is told as one on the ground, too."""
-        place = on_ground(getattr(event, "ray_origin", None), getattr(event, "ray_direction", None))
-        with self._lock:
-            if place is None or self._camera is None:
-                return
-            here = place - self._camera.centre
-            if any(shown.hit(here) for shown in self._shown.values()):
-                return
-        self.clear()
+    def _ground_clicked(self, _: Any) -> None:
+        """Clear the pick; but a click on a particle is told as one on the ground, too, before it or after it."""
+        if monotonic() - self._picked_at > ONE_CLICK:
+            self.clear()
 
     def _rectangle_drawn(self, event: Any) -> None:
         """Zoom in; a drag would otherwise tilt a map that is flat."""
@@ -175,7 +178,8 @@ class TopView:
 
     def _begin(self, info: SessionInfo) -> None:
         another = self._info is None or info.source is not self._info.source
-        self._info, self._status, self._drawn, self._shown = info, None, None, {}
+        self._info, self._status, self._drawn = info, None, None
+        self._shown, self._stale = {}, {}
         if self._pick is not None:
             self._pick, self._notice = None, BEGUN_AGAIN
         for nodes in self._all:
@@ -216,11 +220,12 @@ class TopView:
         view, walls = self._view(self._camera), isinstance(status.info.source.feature, Wall)
         how = (where(status), view.pixel, self._off)
         same = self._drawn is not None and self._drawn[0] is status.taken and self._drawn[1] == how
-        if same and self._drawn is not None and self._drawn[2] is self._pick:
+        if same and not self._stale and self._drawn is not None and self._drawn[2] is self._pick:
             return
         with self._server.atomic():
             if not same:
                 self._draw_step(status, walls, view)
+            self._draw_lineages(status.playing, view)
             self._picked.draw(self._pick, walls, view)
         self._drawn = (status.taken, how, self._pick)
 
@@ -229,7 +234,7 @@ class TopView:
         if step is None or now is None:
             for nodes in self._filters.values():
                 nodes.hide()
-            self._shown = {}
+            self._shown, self._stale = {}, {}
             self._ground.draw_start(status.info, view)
             return
         self.trail.note(status.branch, step.index, step.odometry)
@@ -242,3 +247,11 @@ class TopView:
             else:
                 shown[key] = nodes.draw(now, update, walls, view)
         self._shown = shown
+        self._stale = dict.fromkeys([*(key for key in self._stale if key in shown), *shown])
+
+    def _draw_lineages(self, playing: bool, view: View) -> None:
+        """Those that were not drawn for longest, of one filter while the session runs: they are expensive."""
+        for key in list(self._stale)[: 1 if playing else None]:
+            del self._stale[key]
+            if key in self._shown:
+                self._filters[key].draw_lineages(self._shown[key].update, view)
