@@ -23,7 +23,7 @@ FARTHEST = 9000.0
 ASPECT, HEIGHT = 0.7, 700
 """Width over height, and height in pixels, of a view of which nobody has told yet."""
 
-SHARE = 0.5
+SHARE = 0.45
 """Of the height of a view that is free, above the controls."""
 
 NEAR, FAR, CLOSEST, OUT = 1 / 400, 4.0, 1 / 200, 3.0
@@ -41,7 +41,7 @@ class TopCamera:
     def __init__(self, extent: Extent) -> None:
         x, y = (float(c) for c in extent.centre)
         self._extent = extent
-        self.look_at: Vector = (x, y - 0.5 * (1.0 - SHARE) * self._tall(ASPECT), 0.0)
+        self.look_at: Vector = (x, y, 0.0)
         self.height = min(self._tall(ASPECT) / (2.0 * math.tan(0.5 * FIELD)), FARTHEST)
         """[m] from where a view of the common shape sees all."""
         self.field = 2.0 * math.atan(0.5 * self._tall(ASPECT) / self.height)
@@ -66,12 +66,14 @@ class TopCamera:
         """From where a view of this shape sees all."""
         aspect = min(max(aspect, 0.2), 5.0) if math.isfinite(aspect) else ASPECT
         height = self.height * self._tall(aspect) / self._tall(ASPECT)
-        return (*self.look_at[:2], min(height, 0.99 * OUT * self.height))
+        x, y, _ = self.look_at
+        return x, y - 0.5 * (1.0 - SHARE) * self._tall(aspect), min(height, 0.99 * OUT * self.height)
 
     def prepare(self, initial: Any) -> None:
         """For browsers that come, and for "Reset View" (`viser.InitialCameraConfig`)."""
         initial.fov, initial.near, initial.far = self.field, NEAR * self.height, FAR * self.height
-        initial.position, initial.look_at, initial.up = self.position(), self.look_at, (0.0, 1.0, 0.0)
+        position = self.position()
+        initial.position, initial.look_at, initial.up = position, (*position[:2], 0.0), (0.0, 1.0, 0.0)
 
     def fit(self, client: Any) -> None:
         """Show all in one browser (`viser.ClientHandle`)."""

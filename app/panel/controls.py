@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from time import monotonic
+from time import time
 from typing import Any, get_args
 
 import viser
@@ -208,12 +208,10 @@ class Bound:
     def __init__(self, control: Control, handle: Any) -> None:
         self.control = control
         self.handle = handle
-        self.touched = 0.0
-        """[s] when somebody last did."""
 
     def show(self, settings: Settings) -> None:
         """Have the control show what the desk has, unless somebody is at it."""
-        if monotonic() - self.touched < REST:
+        if time() - self.handle.update_timestamp < REST:
             return
         value = value_of(settings, self.control.name)
         if isinstance(self.control, Number):
@@ -267,7 +265,6 @@ class Controls:
         def changed(_: Any) -> None:
             if getattr(self._own, "busy", False):
                 return  # it was `show`, not a person
-            bound.touched = monotonic()
             self._put(bound.changes())
 
         return changed

@@ -26,7 +26,7 @@ from slam.estimators import ESTIMATORS
 RATE = 8.0
 """[1/s]"""
 
-WIDTH, HEIGHT = 580, 430
+WIDTH, HEIGHT = 580, 410
 """[px] of the controls, at the lower edge; the picture is above them."""
 
 SAID = 10.0
@@ -52,6 +52,8 @@ UNTIL = {
     "lost association": ("association lost",),
     "any of these": ("depleted", "loop closed", "association lost"),
 }
+
+NO_PICK = "Click a particle in the picture to see all about it."
 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
@@ -87,6 +89,9 @@ class Records(Protocol):
 class View(Protocol):
     """The panel's own scene."""
 
+    trail: Any
+    """A `Listener` that has the whole path, where only some of the steps are shown."""
+
     def reset(self, info: Any) -> None:
         """Another session."""
         ...
@@ -99,8 +104,21 @@ class View(Protocol):
         """Markdown on the particle that somebody chose; empty for none."""
         ...
 
+    @property
+    def layers(self) -> Sequence[str]:
+        """What can be shown or hidden."""
+        ...
+
     def visible(self, layer: str, on: bool) -> None:
         """Show or hide a layer."""
+        ...
+
+    def is_visible(self, layer: str) -> bool:
+        """Whether it is shown."""
+        ...
+
+    def fit(self) -> None:
+        """Show the whole map in all browsers."""
         ...
 
 
@@ -127,13 +145,15 @@ class Panel:
         self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
         self._gui = self.server.gui
         self._view = view(self.server) if view else None
+        if self._view is not None:
+            engine.add(self._view.trail)
         self._link = True
         self._speed = USUAL_SPEED
         self._wanted: int | None = None
         """A step that somebody wants to go to; only the last one counts."""
         self._said, self._said_at = "", 0.0
         """What came of something that was asked for, and when."""
-        self._shown = (-1, "", False)
+        self._shown = (-1, "", False, "")
         self._built = -1
         self._own = threading.local()
         self._closing = threading.Event()
@@ -269,10 +289,15 @@ class Panel:
 
     def _build_view(self) -> None:
         gui = self._gui
-        self.pick = gui.add_markdown("Click a particle in the picture to see all about it.")
-        for layer in ("truth", "maps", "ellipses", "lineages"):
-            box = gui.add_checkbox(layer, True)
-            box.on_update(lambda event: self._set_layer(event.target))
+        self.pick = gui.add_markdown(NO_PICK)
+        self.whole = gui.add_button("Whole map", hint="See everything again, after zooming.")
+        self.whole.on_click(lambda _: self._view.fit() if self._view else None)
+        self.layers = {}
+        with gui.add_folder("What the picture shows"):
+            for layer in self._view.layers if self._view else ():
+                box = gui.add_checkbox(layer, self._view.is_visible(layer) if self._view else True)
+                box.on_update(lambda event: self._set_layer(event.target))
+                self.layers[layer] = box
 
     # --- What people ask for: in viser's threads --------------------------------------------------------------------
 
@@ -316,9 +341,9 @@ class Panel:
 
     def _set_layer(self, box: Any) -> None:
         if self._view is not None:
-            self._view.visible(box.label, box.value is True)
-            self._shown = (-1, "", False)
-            self._wake.set()
+            layer = next((layer for layer, own in self.layers.items() if own is box), None)
+            if layer is not None:
+                self._view.visible(layer, box.value is True)
 
     def _travel(self, step: Any) -> None:
         if getattr(self._own, "busy", False):
@@ -353,7 +378,7 @@ class Panel:
         except Exception as error:
             self._said = sentence(error)
         self._said_at = monotonic()
-        self._shown = (-1, "", False)
+        self._shown = (-1, "", False, "")
         self._wake.set()
 
     # --- Showing: in the panel's own thread -------------------------------------------------------------------------
@@ -374,22 +399,23 @@ class Panel:
             self._engine.go(wanted)
         status = self._engine.status
         recorded = self._records.describe()
-        shown = (status.changed, recorded, self._told())
-        if shown == self._shown and not status.playing:
-            return
         if status.number != self._built:
             self._build(status)
+        if self._view is not None:
+            self._view.show(status)
+        pick = self._view.describe_pick(status) if self._view is not None else ""
+        shown = (status.changed, recorded, self._told(), pick)
+        if shown == self._shown and not status.playing:
+            return
         self._shown = shown
         self._own.busy = True
         try:
             with self.server.atomic():
-                self._show(status, recorded)
-            if self._view is not None:
-                self._view.show(status)
+                self._show(status, recorded, pick)
         finally:
             self._own.busy = False
 
-    def _show(self, status: Status, recorded: str) -> None:
+    def _show(self, status: Status, recorded: str, pick: str) -> None:
         _set(self.headline, "content", now.headline(status))
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
@@ -405,8 +431,7 @@ class Panel:
         _set(self.tree, "content", _tree(status))
         _set(self.record, "label", "Stop recording" if self._records.running else "Record")
         _set(self.recorded, "content", recorded)
-        if self._view is not None:
-            _set(self.pick, "content", self._view.describe_pick(status) or "Click a particle to see all about it.")
+        _set(self.pick, "content", pick or NO_PICK)
         self.plots.show(self._trend.of(status.branch, status.step))
 
 

@@ -40,6 +40,8 @@ class TopView:
     Callable from any thread; meant to be called by one, as often as it likes: what has not changed costs nothing.
     """
 
+    layers = LAYERS
+
     def __init__(
         self,
         server: viser.ViserServer,
