@@ -19,8 +19,9 @@ import numpy as np
 import tyro
 
 from app.errors import UsageError, listed, sentence, suggestion
+from app.live.command import Live
 from app.options import FILTERS
-from app.run import Run
+from app.run import Run, SessionOptions
 from app.sources import all_world_options, split_world_options
 from app.study import STUDIES
 from app.version import version
@@ -31,6 +32,7 @@ from scenarios.types import SourceError
 DESCRIPTION = """See inside a SLAM particle filter: Dual FastSLAM beside FastSLAM 1.0, FastSLAM 2.0 and EKF-SLAM.
 
 Examples:
+  dualslam live loop                                 the workbench: a panel and Rerun's viewer on one page
   dualslam worlds                                    what there is to run
   dualslam run loop                                  three filters on a simulated world
   dualslam run paper-line --vehicle ackermann --filters dfs fs2 fs1 ekf --record paper.rrd
@@ -56,7 +58,7 @@ class Study:
         return self.study(command)
 
 
-COMMANDS: dict[str, Any] = {"run": Run, "worlds": Worlds, "study": Study}
+COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "worlds": Worlds, "study": Study}
 
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""
@@ -143,7 +145,8 @@ def _source_first(arguments: list[str]) -> list[str]:
 
 def _tyro(arguments: list[str], world: WorldEntry | None) -> tuple[Any, list[str]]:
     """Parse; tyro's own complaint, a box of several lines, as one sentence."""
-    kinds = {**COMMANDS, "run": _with_options_of(world) if world else Run}
+    with_world = {name: _with_options_of(COMMANDS[name], world) for name in ("live", "run")} if world else {}
+    kinds = {**COMMANDS, **with_world}
     branches = (Annotated[kind, tyro.conf.subcommand(name)] for name, kind in kinds.items())
     union: Any = functools.reduce(operator.or_, branches)
     box = io.StringIO()
@@ -167,11 +170,12 @@ def _tyro(arguments: list[str], world: WorldEntry | None) -> tuple[Any, list[str
         raise UsageError(_unboxed(box.getvalue())) from None
 
 
-def _with_options_of(world: WorldEntry) -> type:
-    """`Run` with the options of one world, for its help."""
+def _with_options_of(command: type, world: WorldEntry) -> type:
+    """A command with the options of one world, for its help."""
     group = tyro.conf.OmitArgPrefixes[world.options]
     own = (world.name.replace("-", "_"), group, dataclasses.field(default_factory=world.options))
-    return dataclasses.make_dataclass("Run", [own], bases=(Run,), frozen=True, namespace={"__doc__": Run.__doc__})
+    namespace = {"__doc__": command.__doc__}
+    return dataclasses.make_dataclass(command.__name__, [own], bases=(command,), frozen=True, namespace=namespace)
 
 
 def _unboxed(text: str) -> str:
@@ -189,9 +193,9 @@ def _unexpected(unknown: Sequence[str], name: str, command: Any) -> str:
         name = f"study {next(key for key, study in STUDIES.items() if study is kind)}"
     if not wrong.startswith("-"):
         return f"unexpected argument {wrong!r}; dualslam {name} --help tells what is expected"
-    if kind is Run and wrong.replace("_", "-") in NOT_YET:
+    if issubclass(kind, SessionOptions) and wrong.replace("_", "-") in NOT_YET:
         return f"{wrong} is not there yet; dualslam {name} --help lists what is"
-    known = option_names(kind) | (all_world_options() if kind is Run else set())
+    known = option_names(kind) | (all_world_options() if issubclass(kind, SessionOptions) else set())
     return f"unknown option {wrong}{suggestion(wrong, known)}; dualslam {name} --help lists them"
 
 

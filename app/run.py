@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,13 +35,8 @@ from slam.limits import Interval
 
 
 @dataclass(frozen=True)
-class Run:
-    """Run filters on a world or a log, on identical data, and report.
-
-    WORLD: a name (dualslam worlds) or a world file. LOG: the path of a real robot's log.
-
-    Worlds have options of their own, such as --features or --laps: dualslam run WORLD --help.
-    """
+class SessionOptions:
+    """What a session needs to begin."""
 
     source: Annotated[Positional[str], values.word("WORLD|LOG"), tyro.conf.arg(help_behavior_hint="")] = ""
     """A world by name, a world file (.toml), or a log."""
@@ -50,29 +46,13 @@ class Run:
     """Of all random numbers: same seed, same results."""
     steps: Annotated[int | None, values.whole("--steps", "N", Interval(1)), default("all")] = None
     """Stop after N observing steps."""
-    align: bool = False
-    """Move the whole path rigidly onto the truth before errors are taken."""
     filter: OmitArgPrefixes[FilterOptions] = field(default_factory=FilterOptions)
     noise: WorldNoise = field(default_factory=WorldNoise)
     believed: BelievedNoise = field(default_factory=BelievedNoise)
     log: OmitArgPrefixes[LogOptions] = field(default_factory=LogOptions)
-    output: OmitArgPrefixes[Outputs] = field(default_factory=Outputs)
 
-    def __call__(self, own: dict[str, str], command: str) -> int:
-        """Run; `own` are the options that the world has of its own, as typed.  Returns the exit code."""
-        if not self.source:
-            raise UsageError(
-                "run needs a world or a log, such as: dualslam run loop (dualslam worlds lists the worlds)"
-            )
-        _check(self.output, self.source)
-        info = self._info(own, command)
-        err = Console(stderr=True, highlight=False)
-        out = err if is_stdout(self.output.summary) else Console(highlight=False)  # JSON is not mixed with a table
-        for warning in info.source.warnings:
-            err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
-        return self._run(info, out, err)
-
-    def _info(self, own: dict[str, str], command: str) -> session.SessionInfo:
+    def info(self, own: dict[str, str], command: str) -> SessionInfo:
+        """The session; `own` are the options that the world has of its own, as typed."""
         from slam.estimators import ESTIMATORS  # numba takes its time to load
 
         source = load(self.source, own, LogParts(*vars(self.log).values()))
@@ -80,15 +60,84 @@ class Run:
         filters = [ESTIMATORS[key] for key in self.filters]
         return session.make_info(source, filters, params, noise, self.seed, self.steps, command)
 
-    def _run(self, info: SessionInfo, out: Console, err: Console) -> int:
+
+@dataclass(frozen=True)
+class Run(SessionOptions):
+    """Run filters on a world or a log, on identical data, and report.
+
+    WORLD: a name (dualslam worlds) or a world file. LOG: the path of a real robot's log.
+
+    Worlds have options of their own, such as --features or --laps: dualslam run WORLD --help.
+    """
+
+    align: bool = False
+    """Move the whole path rigidly onto the truth before errors are taken."""
+    replay: Annotated[Path | None, values.path("--replay", "SESSION.json"), default("nothing")] = None
+    """Instead of a world: run a live session again, as it was, headless, and say whether it is the same bit for bit."""
+    branch: Annotated[str, values.word("NAME"), default("the first run")] = ""
+    """Which branch of the session to replay."""
+    output: OmitArgPrefixes[Outputs] = field(default_factory=Outputs)
+
+    def __call__(self, own: dict[str, str], command: str) -> int:
+        """Run; `own` are the options that the world has of its own, as typed.  Returns the exit code."""
+        if self.replay is not None:
+            return self._replay(own)
+        if self.branch:
+            raise UsageError(f"--branch is {self.branch!r}, but there is no --replay whose branch that could be")
+        if not self.source:
+            raise UsageError(
+                "run needs a world or a log, such as: dualslam run loop (dualslam worlds lists the worlds)"
+            )
+        _check(self.output, self.source)
+        return self._show(self.info(own, command))
+
+    def _replay(self, own: dict[str, str]) -> int:
+        """The session that was saved, with every filter that was ever on."""
+        given = dataclasses.replace(self, replay=None, branch="", output=Outputs(), align=False)
+        if given != Run() or own:
+            raise UsageError(
+                "--replay does what the session did; expected no world and no other options beside it than "
+                "--branch, --align, --record, --summary and --trajectory"
+            )
+        assert self.replay is not None
+        _check(self.output, str(self.replay))
+        from app.live.script import Check, read_replay
+        from slam.estimators import ESTIMATORS
+
+        replay = read_replay(self.replay, self.branch)
+        info = session_of_command(replay.command)
+        first = replay.changes[0][1]
+        filters = tuple(ESTIMATORS[key] for key in replay.filters)
+        steps = min(replay.steps, len(info.source.steps))
+        info = info._replace(filters=filters, params=first.params, noise=first.noise, seed=replay.seed, steps=steps)
+        check = Check(replay)
+        code = self._show(info, replay.session_changes(), [check])
+        Console(stderr=True, highlight=False).print(check.told(), soft_wrap=True, markup=False)
+        return code
+
+    def _show(self, info: SessionInfo, changes: Sequence[session.Change] = (), more: Sequence[Observer] = ()) -> int:
+        err = Console(stderr=True, highlight=False)
+        out = err if is_stdout(self.output.summary) else Console(highlight=False)  # JSON is not mixed with a table
+        for warning in info.source.warnings:
+            err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+        return self._run(info, changes, more, out, err)
+
+    def _run(
+        self,
+        info: SessionInfo,
+        changes: Sequence[session.Change],
+        more: Sequence[Observer],
+        out: Console,
+        err: Console,
+    ) -> int:
         summary = Summary(self.output.summary, align=self.align)
         outputs = self._outputs(summary)
-        observers: list[Observer] = [*outputs, report.ProgressBar(err)]
+        observers: list[Observer] = [*outputs, *more, report.ProgressBar(err)]
         if self.output.summary is None:
             observers.insert(0, summary)
         try:
             with Interrupts() as interrupts:
-                session.run(info, observers, interrupts=interrupts)
+                session.run(info, observers, changes, interrupts)
         except KeyboardInterrupt:
             _report(info, summary, outputs, out)
             done = f"{len(summary.steps)} of {info.steps} steps"
@@ -117,6 +166,22 @@ class Run:
 
             outputs.append(Output("paths and maps", self.output.trajectory, Trajectory(self.output.trajectory)))
         return outputs
+
+
+def session_of_command(command: str) -> SessionInfo:
+    """The session that a command line begins, `dualslam live ...` or `dualslam run ...`."""
+    from app.command import parse  # which knows this module
+
+    try:
+        _, *words = shlex.split(command)
+    except ValueError:
+        words = []
+    if not words or words[0] not in ("run", "live"):
+        raise UsageError(f"the session was begun by {command!r}; expected dualslam live or dualslam run")
+    options, own = parse(words)
+    if not isinstance(options, SessionOptions) or not options.source:
+        raise UsageError(f"the session was begun by {command!r}; expected a world or a log in it")
+    return options.info(own, command)
 
 
 class Output:

@@ -87,14 +87,25 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
     return State(index, odometry, states), step
 
 
-def steps(info: SessionInfo, changes: Sequence[tuple[int, Params]] = ()) -> Iterator[SessionStep]:
-    """All steps of a session; `changes` are the parameters from a step on, applied at the top of it."""
-    due = dict(changes)
+class Change(NamedTuple):
+    """What holds from the top of a step on."""
+
+    step: int
+    params: Params
+    noise: Noise | None = None
+    """What the world is; None for as before."""
+
+
+def steps(info: SessionInfo, changes: Sequence[Change] = ()) -> Iterator[SessionStep]:
+    """All steps of a session."""
+    due = {change.step: change for change in changes}
     state, params = start(info), info.params
     for index in range(1, info.steps + 1):
         sentences: tuple[str, ...] = ()
         if index in due:
-            sentences, params = describe_change(params, due[index]), due[index]
+            noise = due[index].noise or info.noise
+            sentences = describe_change(params, due[index].params) + describe_noise(info.noise, noise)
+            info, params = info._replace(noise=noise), due[index].params
         state, step = advance(info, state, params)
         yield dataclasses.replace(step, changes=sentences)
 
@@ -116,7 +127,7 @@ def make_info(
 def run(
     info: SessionInfo,
     observers: Sequence[Observer] = (),
-    changes: Sequence[tuple[int, Params]] = (),
+    changes: Sequence[Change] = (),
     interrupts: Interrupts | None = None,
 ) -> None:
     """Run a session to its end.
@@ -190,6 +201,12 @@ def describe_change(before: Params, after: Params) -> tuple[str, ...]:
         for (name, old), new in zip(flat(before).items(), flat(after).values(), strict=True)
         if old != new
     )
+
+
+def describe_noise(before: Noise, after: Noise) -> tuple[str, ...]:
+    """The same of what the world is."""
+    pairs = zip(flat(before).items(), flat(after).values(), strict=True)
+    return tuple(f"noise.{name}: {old} -> {new}" for (name, old), new in pairs if old != new)
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.association.jcbb import chi_square_gates
-from slam.features import draw, extend, innovation, inverse, measurement, observable, total
+from slam.features import displacement, draw, extend, innovation, inverse, measurement, observable, total
 from slam.geometry import wrap
 from slam.linalg import (
     LOG_TWO_PI,
@@ -26,7 +26,6 @@ from slam.linalg import (
     add_outer_scaled,
     determinant22,
     dot3,
-    factor22,
     factor33,
     kalman_feature,
     kalman_pose,
@@ -40,7 +39,6 @@ from slam.linalg import (
     store3,
     store22,
     store33,
-    times22,
     times33,
 )
 from slam.map_store import Maps, MapStore
@@ -184,8 +182,8 @@ def _weigh(feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any,
         for i in range(len(z)):
             Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
-                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], Ri, model)
-                V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
+                v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
+                V = add22(sandwich23(G_s, Pk), S)
                 log_p[k, i] = log_density(v, V)
             else:
                 log_p[k, i] = _miss_density(
@@ -231,12 +229,11 @@ def _update_pose(
         for i in range(len(z)):
             Ri = load22(R.sensor[i])
             if n[k, i] >= 0:
-                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], Ri, model)
-                R_total = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
-                V = add22(sandwich23(G_s, Pk), R_total)
+                v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
+                V = add22(sandwich23(G_s, Pk), S)
                 log_p[k, i] = log_density(v, V)
                 if log_p[k, i] > -np.inf:  # what is impossible corrects nothing: its gain times infinity is no pose
-                    sk, Pk = kalman_pose(sk, Pk, v, G_s, R_total, V)
+                    sk, Pk = kalman_pose(sk, Pk, v, G_s, S, V)
             else:
                 log_p[k, i] = _miss_density(
                     feature, sk, Pk, z[i], Ri, model, miss.new if n[k, i] == NEW else miss.ignored
@@ -270,8 +267,8 @@ def _linearised_at(
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
-                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], load22(R.sensor[i]), model)
-                S = add22(sandwich22(G_theta, load22(Sigma[k, i])), Ri)
+                Ri = load22(R.sensor[i])
+                v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
                 V = add22(sandwich23(G_s, Pk), S)
                 if log_density(v, V) > -np.inf:  # as in `_update_pose`
                     away = (drawn[k, 0] - sk[0], drawn[k, 1] - sk[1], wrap(drawn[k, 2] - sk[2]))
@@ -413,8 +410,9 @@ def _draw_features(
                 mean, F_s, F_z = inverse(feature, sk, z[i])
                 _, _, G_theta = innovation(feature, mean, sk, z[i])
                 Ri = total(feature, load22(R.sensor[i]), G_theta, model)
-                spread = factor22(add22(sandwich23(F_s, Pk), sandwich22(F_z, Ri)))
-                theta = draw(feature, mean, times22(spread, (normal[k, i, 0], normal[k, i, 1])))
+                V = add22(sandwich23(F_s, Pk), sandwich22(F_z, Ri))
+                delta = displacement(feature, sk, Pk, z[i], V, Ri, (normal[k, i, 0], normal[k, i, 1]))
+                theta = draw(feature, mean, delta)
                 for m in range(len(theta)):
                     theta_out[k, i, m] = theta[m]
                 v, G_s, _ = innovation(feature, theta, sk, z[i])

@@ -122,6 +122,7 @@ class Engine:
         self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="engine", daemon=True)
         self._closing = False
+        self._begun = False
         self._playing = playing
         self._due = 0
         """Steps to be made although it is paused."""
@@ -209,6 +210,11 @@ class Engine:
             self._thread.join(patience)
 
     @property
+    def alive(self) -> bool:
+        """Whether commands are still carried out."""
+        return self._thread.is_alive()
+
+    @property
     def status(self) -> Status:
         """How things stand."""
         return self._status
@@ -233,8 +239,21 @@ class Engine:
             except Exception as error:  # such as numbers beyond what can be computed: the page must live on
                 self._halt(f"step {self._history.done + 1} failed: {sentence(error)}")
             self._publish()
-        for listener in self._listeners:
+        self._obey_all()
+        for listener in list(self._listeners):
             self._told_safely(listener, lambda one: one.closed())
+        self._publish()
+
+    def _obey_all(self) -> None:
+        """What was asked for before the end."""
+        while not self._commands.empty():
+            self._obey_one(self._commands.get())
+
+    def _obey_one(self, command: Command) -> None:
+        try:
+            command()
+        except Exception as error:
+            self._halt(sentence(error))
         self._publish()
 
     def _obey(self) -> None:
@@ -245,11 +264,7 @@ class Engine:
                 command = self._commands.get(timeout=wait) if wait != 0.0 else self._commands.get_nowait()
             except queue.Empty:
                 return
-            try:
-                command()
-            except Exception as error:
-                self._halt(sentence(error))
-            self._publish()
+            self._obey_one(command)
             wait = 0.0
 
     def _wait(self) -> float | None:
@@ -301,6 +316,7 @@ class Engine:
             self._message = sentence(error)
 
     def _begin(self) -> None:
+        self._begun = True
         history = self._history
         begun = Begun(history.info, history.branch.settings(1), self._number)
         for listener in list(self._listeners):
@@ -369,6 +385,8 @@ class Engine:
     def _add(self, listener: Listener) -> None:
         history = self._history
         self._listeners.append(listener)
+        if not self._begun:
+            return  # it will be told with the others
         begun = Begun(history.info, history.branch.settings(history.done + 1), self._number)
         self._told_safely(listener, lambda one: one.begun(begun))
 

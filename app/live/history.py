@@ -142,17 +142,20 @@ class History:
         if not self.newest:
             raise ValueError(f"step {self.done} of {self.branch.done}: only the end of a branch can grow")
         index, branch = self.done + 1, self.branch
-        before = branch.settings(self.done) if self.done else branch.settings(1)
+        before = branch.settings(max(self.done, 1))
         sentences = described(before, settings)
         if settings != branch.settings(index):
             if branch.changes[-1][0] == index:
                 branch.changes.pop()
             branch.changes.append((index, settings))
+            if self.done == 0:  # nothing has happened yet: as if it had begun with these
+                self._now = self._now._replace(state=self._start(settings.filters))
+                branch.snapshots.keep(self._now, first=True)
         state = self._with_filters(self._now.state, settings.filters)
         state, step = self._step(state, settings)
         taken = self._take(state, dataclasses.replace(step, changes=sentences))
         branch.done = index
-        branch.digest = _digest(branch.digest, step)
+        branch.digest = digest_of(branch.digest, step, settings.filters)
         branch.snapshots.keep(self._now)
         return taken
 
@@ -182,9 +185,11 @@ class History:
             unique, number = f"{name}-{number}", number + 1
         owner = self.branch.owner(self.done)
         made = Branch(unique, owner, self.done, self.done, [(self.done + 1, settings)])
-        made.snapshots.keep(self._now, first=True)
         self.branches.append(made)
         self.branch = made
+        if self.done == 0:
+            self._now = self._now._replace(state=self._start(settings.filters))
+        made.snapshots.keep(self._now, first=True)
         return made
 
     def to_branch(self, name: str) -> Taken | None:
@@ -202,7 +207,7 @@ class History:
         return self.info._replace(filters=filters, params=settings.params, noise=settings.noise)
 
     def _start(self, keys: Iterable[str]) -> State:
-        first = self.branches[0].settings(1)
+        first = self.branch.settings(1)
         return session.start(self._info(dataclasses.replace(first, filters=tuple(keys))))
 
     def _fresh_watch(self) -> Watch:
@@ -239,11 +244,12 @@ class History:
         return state
 
 
-def _digest(before: str, step: SessionStep) -> str:
-    """A number that tells whether two runs are the same, bit for bit."""
+def digest_of(before: str, step: SessionStep, keys: Iterable[str]) -> str:
+    """A number that tells whether two runs are the same, bit for bit: of all steps up to this one, by these filters."""
     digest = hashlib.blake2b(before.encode(), digest_size=16)
-    for key, update in step.filters.items():
+    for key in keys:
         digest.update(key.encode())
-        for array in (update.trace.weighted.s, update.trace.weighted.P, update.trace.weighted.log_w):
+        weighted = step.filters[key].trace.weighted
+        for array in (weighted.s, weighted.P, weighted.log_w):
             digest.update(array.tobytes())
     return digest.hexdigest()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -102,7 +101,7 @@ def _replaced(whole: Any, field: str, value: Any, limits: Interval | None) -> An
         return dataclasses.replace(whole, **{field: value}) if isinstance(value, str) and value in words else whole
     if kind is bool:
         return dataclasses.replace(whole, **{field: value}) if isinstance(value, bool) else whole
-    if isinstance(value, bool) or not isinstance(value, int | float) or limits is None or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or limits is None or value != value:
         return whole
     number = clamped(value, limits)
     return dataclasses.replace(whole, **{field: round(number) if kind is int else number})
@@ -115,18 +114,15 @@ def clamped(value: float, limits: Interval) -> float:
         low += 1e-9
     if limits.open_high:
         high -= 1e-9
-    return min(max(value, low), high)
+    return float(min(max(value, low), high))
 
 
 def described(before: Settings, after: Settings) -> tuple[str, ...]:
     """A sentence for everything that differs, with the old and the new value."""
-    sentences = list(session.describe_change(before.params, after.params))
-    for (name, old), new in zip(vars(before.noise).items(), vars(after.noise).values(), strict=True):
-        if old != new:
-            sentences.append(f"noise.{name}: {old} -> {new}")
+    sentences = session.describe_change(before.params, after.params) + session.describe_noise(before.noise, after.noise)
     if before.filters != after.filters:
-        sentences.append(f"filters: {' '.join(before.filters)} -> {' '.join(after.filters)}")
-    return tuple(sentences)
+        sentences += (f"filters: {' '.join(before.filters)} -> {' '.join(after.filters)}",)
+    return sentences
 
 
 def plain(settings: Settings) -> dict[str, Any]:

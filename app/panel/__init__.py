@@ -1,1 +1,4 @@
-"""The panel in the browser: controls, numbers and a top view of a live session; the only folder that knows viser."""
+"""The viser panel and its top view; the only folder that knows viser.
+
+Several people may have it open: they see the same, and nothing that their browsers send is trusted.
+"""

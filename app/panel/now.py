@@ -33,12 +33,17 @@ def headline(status: Status) -> str:
 def message(status: Status) -> str:
     """What the person is to know, or the last event."""
     if status.message:
-        return f"> **{_safe(status.message)}**"
+        return bold(status.message)
     if not status.told:
-        return "> nothing has happened yet"
+        return "Nothing worth telling has happened yet."
     step, branch, event = status.told[-1]
     where = f" ({branch})" if branch and branch != status.branch else ""
-    return f"> {step}{where}: {_safe(event.text)}"
+    return f"*{step}{where}: {_safe(event.text)}*"
+
+
+def bold(text: str) -> str:
+    """A sentence that is to be read."""
+    return f"**{_safe(text)}**"
 
 
 def table(status: Status) -> str:

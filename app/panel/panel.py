@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from time import monotonic
 from typing import Any, Protocol
 
+import rich
 import viser
 
 from app.errors import sentence
@@ -23,6 +25,12 @@ from slam.estimators import ESTIMATORS
 
 RATE = 8.0
 """[1/s]"""
+
+WIDTH, HEIGHT = 580, 430
+"""[px] of the controls, at the lower edge; the picture is above them."""
+
+SAID = 10.0
+"""[s] that the page says what came of something."""
 
 LABEL = "Dual FastSLAM workbench"
 
@@ -44,6 +52,8 @@ UNTIL = {
     "lost association": ("association lost",),
     "any of these": ("depleted", "loop closed", "association lost"),
 }
+
+STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
 NO_PRESET = "-"
 
@@ -113,6 +123,7 @@ class Panel:
         self._records = records
         self._worlds = list(worlds)
         self._open_world = open_world
+        rich.get_console().quiet = True  # viser says there where it listens, and when it stops
         self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
         self._gui = self.server.gui
         self._view = view(self.server) if view else None
@@ -120,9 +131,9 @@ class Panel:
         self._speed = USUAL_SPEED
         self._wanted: int | None = None
         """A step that somebody wants to go to; only the last one counts."""
-        self._said = ""
-        """What went wrong with something that was asked for."""
-        self._shown = (-1, "")
+        self._said, self._said_at = "", 0.0
+        """What came of something that was asked for, and when."""
+        self._shown = (-1, "", False)
         self._built = -1
         self._own = threading.local()
         self._closing = threading.Event()
@@ -154,9 +165,8 @@ class Panel:
         """The whole page, for the world that the session is in."""
         gui = self._gui
         gui.reset()
-        gui.configure_theme(
-            dark_mode=True, show_logo=False, show_share_button=False, control_layout="fixed", control_width="large"
-        )
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        gui.main_panel.float(x=0, y=-1, width=WIDTH, height=HEIGHT)
         gui.set_panel_label(LABEL)
         source = status.info.source
         self.controls = Controls(gui, self._put)
@@ -187,13 +197,11 @@ class Panel:
         gui, engine = self._gui, self._engine
         self.play = gui.add_button("Play", hint="Go on, or stop after the step that is being made.", color="green")
         self.play.on_click(lambda _: engine.pause() if engine.status.playing else engine.play())
-        self.step = gui.add_button("Step", hint="Make one step.")
-        self.step.on_click(lambda _: engine.step())
+        self.go = gui.add_button_group("one at a time", (STEP, BACK, RUN_TO), hint="A step, or up to an event.")
+        self.go.on_click(lambda _: self._go(self.go.value))
+        self.until = gui.add_dropdown("run to", tuple(UNTIL), hint="Where 'Run to event' stops.")
         self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=self._speed, hint="Steps in a second.")
         self.speed.on_update(lambda _: self._set_speed())
-        self.until = gui.add_dropdown("run to", tuple(UNTIL), hint="Where 'Run to event' stops.")
-        self.run_to = gui.add_button("Run to event", hint="Go on until that happens in one of the filters.")
-        self.run_to.on_click(lambda _: engine.play(UNTIL.get(self.until.value, ())))
 
     def _build_noise(self, source: Source) -> None:
         gui = self._gui
@@ -229,14 +237,13 @@ class Panel:
         )
         self.time = gui.add_slider("step", 0, max(status.total, 1), 1, status.step, hint="Where the session stands.")
         self.time.on_update(lambda _: self._travel(self.time.value))
-        self.back = gui.add_button("Back one step")
-        self.back.on_click(lambda _: self._travel(engine.status.step - 1))
         self.newest = gui.add_button("To the newest step")
         self.newest.on_click(lambda _: engine.go_newest())
         self.branch = gui.add_button("Branch from here", hint="With the settings as they are now.", color="orange")
         self.branch.on_click(lambda _: engine.fork())
-        names: tuple[str, ...] = (TRUNK,)
-        self.branches = gui.add_dropdown("branch", names, hint="Which run is looked at.")
+        self.branches: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "branch", [TRUNK], hint="Which run is looked at."
+        )
         self.branches.on_update(lambda _: self._set_branch())
         self.tree = gui.add_markdown("")
 
@@ -278,6 +285,14 @@ class Panel:
         self._engine.put(changes)
         self._wake.set()
 
+    def _go(self, what: Any) -> None:
+        if what == STEP:
+            self._engine.step()
+        elif what == BACK:
+            self._travel(self._engine.status.step - 1)
+        elif what == RUN_TO:
+            self._engine.play(UNTIL.get(self.until.value, ()))
+
     def _set_speed(self) -> None:
         if self.speed.value in SPEEDS:
             self._speed = self.speed.value
@@ -302,7 +317,7 @@ class Panel:
     def _set_layer(self, box: Any) -> None:
         if self._view is not None:
             self._view.visible(box.label, box.value is True)
-            self._shown = (-1, "")
+            self._shown = (-1, "", False)
             self._wake.set()
 
     def _travel(self, step: Any) -> None:
@@ -327,13 +342,18 @@ class Panel:
 
         self._try(reset)
 
+    def _told(self) -> bool:
+        """Whether the page still says what came of something that was asked for."""
+        return bool(self._said) and monotonic() - self._said_at < SAID
+
     def _try(self, what: Callable[[], str]) -> None:
         """Do it, and have the page say what came of it."""
         try:
             self._said = what()
         except Exception as error:
             self._said = sentence(error)
-        self._shown = (-1, "")
+        self._said_at = monotonic()
+        self._shown = (-1, "", False)
         self._wake.set()
 
     # --- Showing: in the panel's own thread -------------------------------------------------------------------------
@@ -345,7 +365,7 @@ class Panel:
             try:
                 self._refresh()
             except Exception as error:  # the page must not stand still because of one number
-                self._said = sentence(error)
+                self._said, self._said_at = sentence(error), monotonic()
             self._closing.wait(1.0 / RATE)
 
     def _refresh(self) -> None:
@@ -354,11 +374,12 @@ class Panel:
             self._engine.go(wanted)
         status = self._engine.status
         recorded = self._records.describe()
-        if (status.changed, recorded) == self._shown and not status.playing:
+        shown = (status.changed, recorded, self._told())
+        if shown == self._shown and not status.playing:
             return
         if status.number != self._built:
             self._build(status)
-        self._shown = (status.changed, recorded)
+        self._shown = shown
         self._own.busy = True
         try:
             with self.server.atomic():
@@ -370,7 +391,7 @@ class Panel:
 
     def _show(self, status: Status, recorded: str) -> None:
         _set(self.headline, "content", now.headline(status))
-        _set(self.message, "content", f"> **{self._said}**" if self._said else now.message(status))
+        _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
         self.controls.show(status.settings)

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from app import colours
+from app import colours, shades
 from app.colours import RGB
 from app.recording import arrow
 from app.recording.limits import Limits, sample, thinned, thinned_tree
@@ -121,13 +121,12 @@ def particles(p: Particles, shown: Limits, best: int, unit: float, style: Style)
     Arrows are in proportion to `unit` [m], the mesh of the close-up, since headings are looked at there.
     """
     dots, pointers = sample(len(p.s), shown.particles, best), sample(len(p.s), shown.arrows, best)
-    with np.errstate(under="ignore"):
-        brightness = np.clip((p.log_w[dots] + math.log(len(p.s))) / math.log(100.0), -1.0, 1.0)
+    brightness = shades.brightness(p.log_w[dots], len(p.s))
     z, heading = style.z(PARTICLES), p.s[pointers, 2]
     return (
         rr.Points3D.from_fields(
             positions=arrow.vectors(p.s[dots], z + 0.2 * style.lift * brightness),
-            colors=arrow.colours(_by_weight(style.rgb, brightness)),
+            colors=arrow.colours(shades.by_brightness(style.rgb, brightness)),
         ),
         rr.Arrows3D.from_fields(
             origins=arrow.vectors(p.s[pointers], z - 0.5 * style.lift),
@@ -153,9 +152,9 @@ def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips
     """All surviving paths: the more of the living particles descend through a branch, the brighter it is."""
     branches, rows, lengths = thinned_tree(genealogy.branches(), genealogy.steps, 4 * shown.vertices)
     living = np.array([b.living for b in branches], float)
-    shades = faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
+    tones = shades.faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
     strips = arrow.strips(rows, lengths, style.z(LINEAGES))
-    return rr.LineStrips3D.from_fields(strips=strips, colors=arrow.colours(shades))
+    return rr.LineStrips3D.from_fields(strips=strips, colors=arrow.colours(tones))
 
 
 def path(poses: Floats, shown: Limits, style: Style) -> rr.LineStrips3D:
@@ -213,15 +212,3 @@ def dots(rgb: RGB, radius: float) -> rr.Points3D:
 def strokes(rgb: RGB | None, width: float) -> rr.LineStrips3D:
     """How lines look that are so wide on the screen; without a colour if each has its own."""
     return rr.LineStrips3D.from_fields(colors=rgb, radii=rr.Radius.ui_points(0.5 * width))
-
-
-def faded(rgb: RGB, share: Floats) -> Floats:
-    """(n, 3) colours, of which `share` (n,) is replaced by the background."""
-    return np.array(rgb) + share[:, None] * (np.array(colours.BACKGROUND) - np.array(rgb))
-
-
-def _by_weight(rgb: RGB, brightness: Floats) -> Floats:
-    """(n, 3) colours for brightness (n,) in -1..1."""
-    b = brightness[:, None]
-    white = np.array(colours.mix(rgb, (255, 255, 255), 0.85))
-    return np.where(b < 0, faded(rgb, -0.7 * brightness), np.array(rgb) + b * (white - np.array(rgb)))

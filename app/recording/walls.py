@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from app import colours
+from app import colours, shades
 from app.recording import arrow, scene
 from app.recording.ground import returns
 from app.recording.limits import Limits, sample
@@ -112,7 +112,7 @@ def best_map(theta: Floats, Sigma: Floats, style: Style) -> dict[str, list[Any]]
     places = ends(theta)
     dim = DIM * (1.0 - np.log(np.clip(theta[:, 7], 1.0, OFTEN)) / np.log(OFTEN))
     lines = rr.LineStrips3D.from_fields(
-        strips=arrow.segments(places, style.z(scene.MAP)), colors=arrow.colours(scene.faded(style.rgb, dim))
+        strips=arrow.segments(places, style.z(scene.MAP)), colors=arrow.colours(shades.faded(style.rgb, dim))
     )
     seen = rr.AnyValues(observations=pa.array(theta[:, 7].astype(np.int32)))  # a viewer shows it where the mouse is
     return {

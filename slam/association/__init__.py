@@ -120,8 +120,9 @@ def _ignore_outliers(feature: Any, s: Any, P: Any, theta: Any, Sigma: Any, z: An
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
-                v, G_s, G_theta, Ri = measurement(feature, theta[k, i], sk, Pk, z[i], load22(R.sensor[i]), model)
-                V = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, load22(Sigma[k, i]))), Ri)
+                Ri = load22(R.sensor[i])
+                v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
+                V = add22(sandwich23(G_s, Pk), S)
                 if not distance2(v, V) <= gate:
                     n[k, i] = IGNORED
 
@@ -152,9 +153,9 @@ def _associate(
                 row = pool.data[leaf_of(pool, roots[k], depth, j), j & (LEAF - 1)]
                 if not compatible(feature, row, sk, Pk, z[i]):
                     continue
-                vj, G_s, G_theta, Rj = measurement(feature, row, sk, Pk, z[i], Ri, model)  # (23, 24)
                 Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-                Vj = add22(add22(sandwich23(G_s, Pk), sandwich22(G_theta, Sigma)), Rj)
+                vj, G_s, S = measurement(feature, row, Sigma, sk, Pk, z[i], Ri, model)  # (23, 24)
+                Vj = add22(sandwich23(G_s, Pk), S)
                 distance = distance2(vj, Vj)  # (25)
                 nearest[i] = min(nearest[i], distance)
                 if not distance <= gates[1]:  # (27)
@@ -199,9 +200,9 @@ def _may_be_known(
         row = pool.data[leaf_of(pool, root, depth, j), j & (LEAF - 1)]
         if not compatible(feature, row, s, P, z):
             continue
-        v, G_s, G_theta, R_total = measurement(feature, row, s, P, z, R, model)
         Sigma = ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
-        V = add22(add22(sandwich23(G_s, P), sandwich22(G_theta, Sigma)), R_total)
+        v, G_s, S = measurement(feature, row, Sigma, s, P, z, R, model)
+        V = add22(sandwich23(G_s, P), S)
         if distance2(v, V) <= ignore:
             return True
     return False

@@ -8,7 +8,9 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
     draw(feature, theta, delta)      -> theta displaced by delta (2,) in the two coordinates that are uncertain
     total(feature, R, G_theta, model)-> R of an observation that is paired with a feature: with the error of the model
     observable(feature, s, P, z, v, G_s, R)
-                                     -> G_s for a map that is frozen, of which it says nothing that z does not show
+                                     -> G_s of a particle, by which z tells nothing that it does not show
+    displacement(feature, s, P, z, V, R, normal)
+                                     -> delta (2,) of N(0, V) by which a new feature is drawn, from normal (2,)
     extent(feature, theta)           -> (x_min, y_min, x_max, y_max) [m], for the search over the map
     spread(feature, theta, Sigma)    -> the largest deviation [m] that Sigma gives any part of it, for the search
     compatible(feature, theta, s, P, z)
@@ -35,11 +37,13 @@ from numba.extending import overload
 from slam._jit import inline
 from slam.features.point import Point
 from slam.features.wall import Wall
+from slam.linalg import add22, sandwich22
 
 __all__ = [
     "Point",
     "Wall",
     "compatible",
+    "displacement",
     "draw",
     "extend",
     "extent",
@@ -61,6 +65,11 @@ def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
 def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
     """G_s (2, 3) that gives a particle N(s, P) no information on what z does not show."""
     return type(feature).observable(feature, s, P, z, v, G_s, R)
+
+
+def displacement(feature: Any, s: Any, P: Any, z: Any, V: Any, R: Any, normal: Any) -> Any:
+    """delta (2,) of N(0, V), V = F_s P F_s^T + F_z R F_z^T, by which a new feature is drawn (34)."""
+    return type(feature).displacement(feature, s, P, z, V, R, normal)
 
 
 def inverse(feature: Any, s: Any, z: Any) -> Any:
@@ -113,6 +122,11 @@ def _observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) 
     return feature.instance_class.observable
 
 
+@overload(displacement)
+def _displacement(feature: Any, s: Any, P: Any, z: Any, V: Any, R: Any, normal: Any) -> Any:
+    return feature.instance_class.displacement
+
+
 @overload(inverse)
 def _inverse(feature: Any, s: Any, z: Any) -> Any:
     return feature.instance_class.inverse
@@ -154,8 +168,11 @@ def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any
 
 
 @inline
-def measurement(feature: Any, theta: Any, s: Any, P: Any, z: Any, R: Any, model: Any) -> Any:
-    """v, G_s, G_theta and R (2, 2) in all, of one observation of a feature of a particle's map, its pose N(s, P)."""
+def measurement(feature: Any, theta: Any, Sigma: Any, s: Any, P: Any, z: Any, R: Any, model: Any) -> Any:
+    """v, G_s and S = G_theta Sigma G_theta^T + R in all (2, 2), of one observation and a feature of a particle's map.
+
+    The pose is N(s, P), so that V = G_s P G_s^T + S.
+    """
     v, G_s, G_theta = innovation(feature, theta, s, z)
-    R = total(feature, R, G_theta, model)
-    return v, observable(feature, s, P, z, v, G_s, R), G_theta, R
+    S = add22(sandwich22(G_theta, Sigma), total(feature, R, G_theta, model))
+    return v, observable(feature, s, P, z, v, G_s, S), S

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam._jit import inline
 from slam.geometry import wrap
-from slam.linalg import largest_eigenvalue22
+from slam.linalg import factor22, largest_eigenvalue22, times22
 from slam.types import Floats, ObservationNoise, Params
 
 
@@ -65,6 +65,11 @@ class Point(NamedTuple):
     def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
         """As it is: a point is observed in all its coordinates."""
         return G_s
+
+    @staticmethod
+    def displacement(feature: Any, s: Any, P: Any, z: Any, V: Any, R: Any, normal: Any) -> Any:
+        """Of N(0, V)."""
+        return times22(factor22(V), normal)
 
     @staticmethod
     def inverse(feature: Any, s: Any, z: Any) -> Any:

@@ -50,6 +50,12 @@ def _offset_row(phi: Any, dx: Any, dy: Any) -> Any:
     return -q, c, q * dy + c * dx
 
 
+@inline
+def _told(P: Any, R: Any) -> Any:
+    """The share of an innovation of the angle by which the heading is corrected on it alone."""
+    return P[2][2] / (P[2][2] + R[1][1]) if P[2][2] > 0.0 else 0.0
+
+
 class Wall(NamedTuple):
     """State theta (8,) and observation z (11,).
 
@@ -61,7 +67,7 @@ class Wall(NamedTuple):
     """
 
     slack: float = 0.5
-    """[m] a piece may lie beyond the end of a wall and still be of it, besides two deviations of the pose along it."""
+    """[m] a piece may lie beyond what was seen of a wall and still be of it, besides the deviation along it."""
     turn: float = 0.6
     """[rad] that a piece and its wall may differ by: which side is seen is never in doubt."""
 
@@ -115,14 +121,30 @@ class Wall(NamedTuple):
         """The lateral row of G_s is that of a wall along the direction that is seen (ours).
 
         The walls of a particle's map are frozen a little wrong.  Two parallel walls at different angles would say where
-        along the corridor the robot is, which neither of them knows.  All parallel pieces of a scan have the same
-        `axis`, and the heading as the piece's own angle corrects it turns that into the world: so what cannot be
-        observed gains no information, which is the rule of G. P. Huang, A. I. Mourikis, S. I. Roumeliotis,
-        "Observability-based rules for designing consistent EKF SLAM estimators", Int. J. Robotics Research 29(5), 2010.
+        along the corridor the robot is, which neither of them knows.  Parallel pieces of a scan have one and the same
+        `axis`, or nearly, and the heading as the piece's own angle corrects it turns that into the world: so a scan
+        tells nothing of what it does not show, and many, each with an axis a little off, little.  The rule is that of
+        G. P. Huang, A. I. Mourikis, S. I. Roumeliotis, "Observability-based rules for designing consistent EKF SLAM
+        estimators", Int. J. Robotics Research 29(5), 2010.
         """
-        known = P[2][2] / (P[2][2] + R[1][1]) if P[2][2] > 0.0 else 0.0
         px, py = _placed(s, z[0], z[1])
-        return _offset_row(s[2] + known * v[1] + z[10], px - s[0], py - s[1]), G_s[1]
+        return _offset_row(s[2] + _told(P, R) * v[1] + z[10], px - s[0], py - s[1]), G_s[1]
+
+    @staticmethod
+    def displacement(feature: Any, s: Any, P: Any, z: Any, V: Any, R: Any, normal: Any) -> Any:
+        """Of N(0, V) with the lateral row of `observable`: the angle first, since the row depends on it.
+
+        V has the row of the mean.  Drawn with another row than the pose is corrected with, walls would tell of what
+        they do not show.
+        """
+        angle = math.sqrt(V[1][1]) * normal[1]
+        px, py = _placed(s, z[0], z[1])
+        row = _offset_row(s[2] + _told(P, R) * angle + z[10], px - s[0], py - s[1])
+        P_row = times33(P, row)
+        lateral, both = dot3(row, P_row) + R[0][0], P_row[2] + R[0][1]
+        left = max(lateral - both * both / V[1][1], 0.0) if V[1][1] > 0.0 else lateral
+        mean = both / V[1][1] * angle if V[1][1] > 0.0 else 0.0
+        return mean + math.sqrt(left) * normal[0], angle
 
     @staticmethod
     def inverse(feature: Any, s: Any, z: Any) -> Any:
@@ -143,7 +165,9 @@ class Wall(NamedTuple):
     def compatible(feature: Any, theta: Any, s: Any, P: Any, z: Any) -> Any:
         """The longitudinal test: the piece shows this side of the wall, and overlaps it or lies just beyond its end.
 
-        Beyond an end that is known there is no slack.
+        Beyond an end that is known there is no slack.  Of two deviations of the pose along the wall no more than
+        `SAME_END` counts: that of all the way from the start says little of how far off a wall is that was made a
+        moment ago, and with half a metre of it, walls would be joined across the doors between them.
         """
         if abs(wrap(theta[2] - s[2] - z[2])) > feature.turn:
             return False
@@ -151,7 +175,7 @@ class Wall(NamedTuple):
         c, q = math.cos(theta[2]), math.sin(theta[2])
         t = c * (px - theta[0]) + q * (py - theta[1])
         along = (c, q, q * (px - s[0]) - c * (py - s[1]))  # dt/ds
-        room = 2.0 * math.sqrt(max(dot3(along, times33(P, along)), 0.0))
+        room = min(2.0 * math.sqrt(max(dot3(along, times33(P, along)), 0.0)), SAME_END)
         before = theta[3] - (t + z[4])
         beyond = (t + z[3]) - theta[4]
         return before <= room + feature.slack * (1.0 - theta[5]) and beyond <= room + feature.slack * (1.0 - theta[6])

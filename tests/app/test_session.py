@@ -162,7 +162,7 @@ def test_changes_take_effect_at_the_top_of_their_step_and_are_told():
     changed = dataclasses.replace(
         params, particles=25, inflate_r=4.0, believed=dataclasses.replace(params.believed, range=0.5)
     )
-    steps = watch(changes=[(5, changed)])
+    steps = watch(changes=[session.Change(5, changed)])
     sizes = [len(step.filters["dfs"].trace.weighted.log_w) for step in steps]
     assert sizes == [10] * 4 + [25] * (STEPS - 4)
     assert [step.changes for step in steps[:4]] == [()] * 4

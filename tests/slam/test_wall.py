@@ -12,7 +12,9 @@ from slam._jit import inline
 from slam.features import Wall, compatible, draw, extend, extent, innovation, inverse, observable, region, spread, total
 from slam.features.wall import CORNER, EDGE, HIDDEN, OUT_OF_REACH, ends
 from slam.geometry import compose, invert, wrap
-from slam.types import Floats, Params
+from slam.motion import Odometry
+from slam.phases import draw_features, initial
+from slam.types import NEW, Floats, Frame, ObservationNoise, Params
 from tests.slam.test_features import flat
 
 PI = math.pi
@@ -132,6 +134,26 @@ def test_it_is_the_jacobian_where_walls_are_where_they_are_seen() -> None:
             np.testing.assert_allclose(row, G_s[0], atol=1e-9)
 
 
+def test_a_new_wall_changes_nothing_of_what_is_known() -> None:
+    """Drawn and then believed by each particle, the mixture of many is what it was before: the sides of a corridor,
+    and a door whose direction is told by the walls beside it."""
+
+    def seen(x: float, y: float, phi: float, axis: float) -> Floats:
+        return np.array([x, y, phi, -0.5, 0.5, 5e-6, 9e-6, HIDDEN, HIDDEN, 20.0, axis])
+
+    corridor = [seen(3, 1, 0, 0), seen(3, -1, PI, PI), seen(-3, 1, 0, 0), seen(-3, -1, PI, PI)]
+    cases = [((1.0, 0.01, 0.02), corridor), ((1.0, 0.01, 0.05), corridor), ((2.0, 0.02, 0.002), [seen(3, 1, 0.02, 0)])]
+    K = 20_000
+    for deviations, rows in cases:
+        z = np.array(rows)
+        before = initial(WALL, np.zeros(3), np.diag(deviations) ** 2, Params(particles=K))
+        frame = Frame(0.0, Odometry(), np.zeros((0, 3)), np.zeros(0), WALL, z, np.arange(len(z)))
+        noise = ObservationNoise(np.stack([np.diag(row[5:7]) for row in z]), np.diag([2.5e-5, 7.6e-7]))
+        after = draw_features(np.random.default_rng(0), before, frame, np.full((K, len(z)), NEW), noise)
+        mixture = np.cov(after.s.T) + after.P.mean(axis=0)
+        np.testing.assert_allclose(np.sqrt(mixture.diagonal()), deviations, rtol=0.02)  # 1 / sqrt(2 K) is 0.5 %
+
+
 def test_a_known_heading_or_a_known_wall() -> None:
     """Where the heading is not known at all the wall has the last word; its row is the exact one."""
     for s, theta, z in situations():
@@ -192,12 +214,14 @@ def test_beyond_an_end_that_is_known_there_is_no_slack() -> None:
 
 
 def test_a_pose_that_is_uncertain_along_the_wall_gives_room() -> None:
-    theta, z = wall(5.0, -2.0, 0.0), piece(9.0, -2.0, 0.0)
-    assert not may_be(theta, z, np.diag([0.5, 9.0, 0.0]) ** 2)  # across does not count
-    assert may_be(theta, z, np.diag([0.8, 0.0, 0.0]) ** 2)
-    assert not may_be(theta, z, np.diag([0.7, 0.0, 0.0]) ** 2)
-    # a heading error of 0.4 rad moves a piece that is seen 2 m to the right by 0.8 m along the wall
-    assert may_be(theta, z, np.diag([0.0, 0.0, 0.4]) ** 2)
+    """Two deviations of it, but no more than the ends of walls are known to: else doors would not divide walls."""
+    theta = wall(5.0, -2.0, 0.0)
+    for deviation, room in ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (5.0, 0.3)):
+        P = np.diag([deviation, 9.0, 0.0]) ** 2  # across does not count
+        assert may_be(theta, piece(7.5 + room - 0.01, -2.0, 0.0), P)
+        assert not may_be(theta, piece(7.5 + room + 0.01, -2.0, 0.0), P)
+    ends = wall(5.0, -2.0, 0.0, 1.0, 1.0, 1.0)
+    assert not may_be(ends, piece(8.0, -2.0, 0.0), np.diag([9.0, 9.0, 0.1]) ** 2)
 
 
 def test_the_two_faces_of_a_thin_wall_are_two() -> None:

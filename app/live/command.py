@@ -1,0 +1,165 @@
+"""`dualslam live [WORLD|LOG]`: the workbench in the browser, from its start to its end."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import webbrowser
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Annotated, Literal, get_args
+
+from rich.console import Console
+
+from app import values
+from app.errors import sentence
+from app.interrupt import Interrupts
+from app.options import default
+from app.run import SessionOptions
+from app.types import SessionInfo
+from slam.limits import Interval
+
+USUAL = "loop"
+"""The world that is shown when nobody says which."""
+
+ViewerName = Literal["web", "native", "none"]
+
+PATIENCE = 30.0
+"""[s] that everything may take to end."""
+
+LOOK_EVERY = 0.2
+"""[s] after which Ctrl-C takes effect at the latest."""
+
+PORTS = Interval(1024, 65535)
+
+
+@dataclass(frozen=True)
+class Live(SessionOptions):
+    """The workbench: a running filter under your hands, on one page with Rerun's viewer.
+
+    WORLD: a name (dualslam worlds) or a world file; loop, if none is given. LOG: the path of a real robot's log.
+
+    It listens on 127.0.0.1, for this machine alone, and ends with Ctrl-C. Worlds have options of their own, such as
+    --features or --laps: dualslam live WORLD --help.
+    """
+
+    viewer: Annotated[str, values.choice("--viewer", get_args(ViewerName))] = "web"
+    """Rerun on the same page (web), in a window of its own (native), or not at all."""
+    port: Annotated[int | None, values.whole("--port", "N", PORTS), default("a free one")] = None
+    """Of the page."""
+    no_browser: bool = False
+    """Only print the address."""
+    paused: bool = False
+    """Do not start until somebody presses Play."""
+    record: Annotated[Path | None, values.path("--record", "FILE.rrd"), default("not written")] = None
+    """Record from the first step on; FILE.json beside it replays the session: dualslam run --replay FILE.json."""
+
+    def __call__(self, own: dict[str, str], command: str) -> int:
+        """Serve the page until somebody ends it; returns the exit code."""
+        began = monotonic()
+        out = Console(highlight=False)
+        out.print("starting ...")
+        options = self if self.source else dataclasses.replace(self, source=USUAL)
+        info = options.info(own, command if self.source else f"{command} {USUAL}")
+        for warning in info.source.warnings:
+            out.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+        with Interrupts() as interrupts, ExitStack() as stack:
+            with interrupts.shield():
+                workbench = Workbench(self, info, out, stack)
+            out.print(f"ready after {monotonic() - began:.1f} s: {workbench.url}", soft_wrap=True, markup=False)
+            if not self.no_browser:
+                _open_browser(workbench.url, out)
+            out.print("Ctrl-C ends it", soft_wrap=True)
+            with suppress(KeyboardInterrupt):
+                workbench.serve(interrupts)
+            with interrupts.shield():
+                workbench.end()
+        return 0
+
+
+class Workbench:
+    """Everything that runs: the session, the panel, the page, viewers and files; what is opened goes on the stack."""
+
+    def __init__(self, options: Live, info: SessionInfo, out: Console, stack: ExitStack) -> None:
+        from app.live.engine import Engine, Listener
+        from app.live.page import Page, Viewer
+        from app.live.publisher import VIEWER_STEPS, Publisher
+        from app.live.records import Records
+        from app.live.trend import Trend
+        from app.panel.panel import Panel
+        from app.panel.scene import TopView
+        from app.recording.live import LiveHost
+        from app.recording.session import SessionWriter, file_streams
+        from app.recording.stream import check_path
+        from app.sources import LogParts, load
+        from scenarios.registry import worlds
+
+        self._out = out
+        if options.record is not None:
+            check_path(options.record)
+        trend = Trend()
+        listeners: list[Listener] = [trend]
+        self._publisher: Publisher | None = None
+        viewer: Viewer | None = None
+        host = None if options.viewer == "none" else LiveHost()
+        if host is not None:
+            stack.callback(host.close)
+            self._publisher = Publisher(SessionWriter(lambda number: host.open), "drop", VIEWER_STEPS)
+            listeners.append(self._publisher)
+            if options.viewer == "web":
+                viewer = Viewer(host.files, host.origin, host.query)
+        self.engine = Engine(info, listeners, playing=not options.paused)
+        stack.callback(self.engine.close, PATIENCE)
+        self.records = Records(
+            self.engine,
+            options.record.parent if options.record else Path(),
+            lambda path: SessionWriter(file_streams(path)),
+            check_path,
+        )
+        if options.record is not None:
+            out.print(self.records.start_at(options.record), soft_wrap=True, markup=False)
+        self.panel = Panel(
+            self.engine, trend, self.records, list(worlds()), lambda name: load(name, {}, LogParts()), view=TopView
+        )
+        stack.callback(self.panel.close)
+        self.page = Page(f"http://127.0.0.1:{self.panel.port}", viewer, options.port or 0)
+        stack.callback(self.page.close)
+        if host is not None and options.viewer == "native":
+            stack.callback(host.open_native().close)
+        self.engine.start()
+
+    @property
+    def url(self) -> str:
+        """Of the page."""
+        return self.page.url
+
+    def serve(self, interrupts: Interrupts) -> None:
+        """Until an interruption."""
+        while True:
+            interrupts.check()
+            self.records.keep()
+            sleep(LOOK_EVERY)
+
+    def end(self) -> None:
+        """Save everything, and say so."""
+        self._out.print("ending ...")
+        if self.records.running:
+            self._out.print(self.records.stop(), soft_wrap=True, markup=False)
+        self.engine.close(PATIENCE)
+        if self._publisher is not None:
+            self._publisher.join(PATIENCE)
+
+
+def _open_browser(url: str, out: Console) -> None:
+    """Open it where there is a screen."""
+    screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    try:
+        if screen and webbrowser.open(url):
+            return
+    except (OSError, webbrowser.Error) as error:
+        out.print(f"no browser could be opened ({sentence(error)})", soft_wrap=True, markup=False)
+        return
+    out.print("no screen here: open the address in a browser", soft_wrap=True)

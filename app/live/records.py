@@ -1,0 +1,130 @@
+"""Recording a live session to files, started and stopped while it runs."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from time import monotonic
+
+from app.errors import UsageError, sentence
+from app.files import write_whole
+from app.live.engine import Engine, Listener
+from app.live.publisher import FILE_STEPS, Publisher
+from app.live.script import script_text
+
+KEEP_EVERY = 5.0
+"""[s] after which the script of a session is saved again, while it is recorded."""
+
+PATIENCE = 60.0
+"""[s] that the end of a recording may take."""
+
+LONGEST = 64
+"""Letters of a name."""
+
+MakeListener = Callable[[Path], Listener]
+
+
+class Records:
+    """The recordings of a session, one at a time: FILE.rrd, and FILE.json to replay it with."""
+
+    def __init__(self, engine: Engine, directory: Path, make: MakeListener, check: Callable[[Path], None]) -> None:
+        """`make` opens what writes a recording to a path, `check` complains of a path that cannot be written."""
+        self._engine = engine
+        self._directory = directory
+        self._make = make
+        self._check = check
+        self._lock = threading.RLock()
+        self._publisher: Publisher | None = None
+        self._path: Path | None = None
+        self._told = ""
+        self._saved_at = 0.0
+
+    @property
+    def running(self) -> bool:
+        """Whether something is being recorded."""
+        return self._publisher is not None
+
+    def start(self, name: str) -> str:
+        """Record from the next step on; a sentence on where.  The name may come from anybody."""
+        return self.start_at(self._free(safe_name(name)))
+
+    def start_at(self, path: Path) -> str:
+        """The same, at a path that the user of the command line has chosen."""
+        with self._lock:
+            if self._publisher is not None:
+                return f"{self._path} is being recorded already"
+            self._check(path)
+            publisher = Publisher(self._make(path), "wait", FILE_STEPS)
+            self._engine.add(publisher)
+            self._publisher, self._path = publisher, path
+            self._told, self._saved_at = "", monotonic()
+        return f"recording to {path}"
+
+    def stop(self) -> str:
+        """Complete the file; a sentence on what is where."""
+        with self._lock:
+            publisher, path = self._publisher, self._path
+            if publisher is None or path is None:
+                return "nothing is being recorded"
+            self._engine.remove(publisher)
+            done = publisher.join(PATIENCE)
+            self._publisher = None
+            self._save(path)
+            steps = f"{publisher.published} steps"
+            if publisher.error:
+                self._told = f"**lost**: {publisher.error}; {path} has what was written until then, {steps}"
+            elif not done:
+                self._told = f"**{path} could not be completed in {PATIENCE:g} s**; it has what was written until then"
+            else:
+                size = path.stat().st_size / 1e6 if path.exists() else 0.0
+                self._told = f"saved {path}: {steps}, {size:.1f} MB"
+            return self._told
+
+    def keep(self) -> None:
+        """Save the script now and then; called by whoever has the time."""
+        if self._path is not None and self.running and monotonic() - self._saved_at > KEEP_EVERY:
+            self._saved_at = monotonic()
+            self._save(self._path)
+
+    def describe(self) -> str:
+        """Markdown: what is recorded, how large it is, what went wrong."""
+        publisher, path = self._publisher, self._path
+        if publisher is None or path is None:
+            return self._told and f"{self._told}\n\nOpen it with `rerun {path}`; `dualslam run --replay` runs it again."
+        if publisher.error:
+            return f"**{path} is lost from here on**: {publisher.error}. What was written until then is kept."
+        size = path.stat().st_size / 1e6 if path.exists() else 0.0
+        return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
+
+    def _save(self, path: Path) -> None:
+        def write(text: str) -> None:
+            try:
+                write_whole(path.with_suffix(".json"), text)
+            except OSError as error:
+                self._told = f"the script of the session cannot be saved: {sentence(error)}"
+
+        done = threading.Event()
+
+        def take(history: object) -> None:
+            write(script_text(history))  # type: ignore[arg-type]
+            done.set()
+
+        self._engine.call(take)
+        if self._engine.alive:
+            done.wait(PATIENCE)
+
+    def _free(self, name: str) -> Path:
+        """A path that is not taken, in the directory of this session."""
+        for number in range(1, 1000):
+            path = self._directory / (f"{name}.rrd" if number == 1 else f"{name}-{number}.rrd")
+            if not path.exists() and not path.with_suffix(".json").exists():
+                return path
+        raise UsageError(f"there are a thousand recordings called {name}; expected another name")
+
+
+def safe_name(name: str) -> str:
+    """Letters, digits, dots, dashes and underscores of a name; nothing that could lead out of a directory."""
+    kept = re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:LONGEST].strip(".-_")
+    return kept.removesuffix(".rrd").strip(".-_") or "session"
