@@ -10,6 +10,7 @@ import errno
 import http.client
 import json
 import re
+import secrets
 import socket
 import threading
 from http import HTTPStatus
@@ -108,7 +109,9 @@ class _Content:
         self.viewer = viewer
         self._panel = panel
         self.hosts = {f"{name}{at}" for name in ("127.0.0.1", "localhost") for at in (f":{port}", *[""] * (port == 80))}
-        settings = {"panel": panel, "view": f"rerun/?{viewer.query}" if viewer else None}
+        self._run = secrets.token_hex(8)
+        """Another one for each start, so that a page that was left open notices."""
+        settings = {"run": self._run, "panel": panel, "view": f"rerun/?{viewer.query}" if viewer else None}
         text = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
         encoded = json.dumps(settings).replace("<", "\\u003c")
         self.page = Template(text.replace("${", "$${")).substitute(SETTINGS=encoded).encode()
@@ -136,8 +139,8 @@ class _Content:
 
     def alive(self) -> bytes:
         """Whether those answer whom the page shows."""
-        answers = {"panel": _answers(self._panel), "view": _answers(self.viewer.files) if self.viewer else None}
-        return json.dumps(answers).encode()
+        view = _answers(self.viewer.files) if self.viewer else None
+        return json.dumps({"run": self._run, "panel": _answers(self._panel), "view": view}).encode()
 
 
 class _Server(ThreadingHTTPServer):

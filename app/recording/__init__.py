@@ -22,6 +22,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /plots/n_eff/threshold          where resampling begins
     /genealogy/<filter>             lines of descent over (step, slot)
     /weights/<filter>               sorted weights times K
+    /branch/<name>/...              the same tree for a branch; property `session-<name>`
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 
 and timelines

@@ -115,7 +115,6 @@ class LiveStream(Stream):
         self._host = host
         self._told = False
         super().__init__(blueprint, name, FLUSH_LIVE)
-        self.show(blueprint)  # a viewer that shows another recording already would keep that one's
 
     def begun(self) -> None:
         """Nothing: viewers come when they come."""
@@ -128,10 +127,11 @@ class LiveStream(Stream):
 
     def close(self) -> None:
         """Send what is left; viewers keep showing it."""
-        self._rec.disconnect()
+        self._end()
 
     def _connect(self, blueprint: rrb.Blueprint) -> None:
-        self._rec.connect_grpc(self._host.inner, default_blueprint=blueprint)
+        self._rec.connect_grpc(self._host.inner)
+        self.show(blueprint)  # not as a default: a viewer that shows another recording already would keep that one's
 
 
 def address(port: int) -> str:

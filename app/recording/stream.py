@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,9 +99,20 @@ class Stream:
         """`RecordingLost` if what was logged does not arrive any more; once."""
 
     def close(self) -> None:
-        """Send what is left."""
-        self._rec.disconnect()
+        """Send what is left.  After that, nothing can be logged."""
+        self._end()
         self.check()
+
+    def _end(self) -> None:
+        """Rerun keeps what a stream had, threads and memory, until nobody knows it and somebody asks.
+
+        Of every layout that was shown it keeps two threads and some two megabytes until the process ends.
+        """
+        import rerun_bindings
+
+        self._rec.disconnect()
+        del self._rec
+        rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
     def _connect(self, blueprint: rrb.Blueprint) -> None:
         """To where it goes."""
@@ -138,7 +150,7 @@ class FileStream(Stream):
 
     def close(self) -> None:
         """Write what is left, and the index at the end of the file."""
-        self._rec.disconnect()
+        self._end()
         self._pipe.join()
         self.check()
 
@@ -149,6 +161,54 @@ class FileStream(Stream):
             raise RecordingError(f"--record {self.path} cannot be written: {sentence(error)}") from None
         self._rec.save(self._pipe.entrance, default_blueprint=blueprint)
         self._pipe.seal()
+
+
+class Tee(Stream):
+    """Several streams that get the same: what is drawn is made once, which takes most of the time."""
+
+    def __init__(self, streams: Sequence[Stream]) -> None:
+        self._streams = streams
+
+    def begun(self) -> None:
+        """Make sure, before the run begins, that what does not change has arrived."""
+        for stream in self._streams:
+            stream.begun()
+
+    def log(self, entity: str, *what: Any) -> None:
+        """At the present time."""
+        for stream in self._streams:
+            stream.log(entity, *what)
+
+    def log_static(self, entity: str, *what: Any) -> None:
+        """True at all times."""
+        for stream in self._streams:
+            stream.log_static(entity, *what)
+
+    def property(self, name: str, what: Any) -> None:
+        """Of the recording as a whole."""
+        for stream in self._streams:
+            stream.property(name, what)
+
+    def show(self, blueprint: rrb.Blueprint) -> None:
+        """Lay out anew every window that shows one of them."""
+        for stream in self._streams:
+            stream.show(blueprint)
+
+    def set_time(self, stage: int, step: int | None = None, sim_time: float | None = None) -> None:
+        """What is logged next belongs to this moment."""
+        for stream in self._streams:
+            stream.set_time(stage, step, sim_time)
+
+    def check(self) -> None:
+        """`RecordingLost` if one of them does not arrive any more; once for each, and the others go on."""
+        for stream in self._streams:
+            stream.check()
+
+    def close(self) -> None:
+        """Close all of them, whatever happens to one."""
+        with ExitStack() as closing:
+            for stream in self._streams:
+                closing.callback(stream.close)
 
 
 class BranchStream(Stream):
