@@ -91,11 +91,14 @@ class Workbench:
         from app.live.trend import Trend
         from app.panel.panel import Panel
         from app.panel.scene import TopView
-        from app.recording.live import LiveHost
-        from app.recording.session import SessionWriter, file_streams
+        from app.recording.live import LiveHost, quiet
         from app.recording.stream import check_path
         from app.sources import LogParts, load
         from scenarios.registry import worlds
+
+        quiet()
+        from app.recording.blueprint import PAGE_ASPECT
+        from app.recording.session import SessionWriter, file_streams
 
         self._out = out
         if options.record is not None:
@@ -107,7 +110,7 @@ class Workbench:
         host = None if options.viewer == "none" else LiveHost()
         if host is not None:
             stack.callback(host.close)
-            self._publisher = Publisher(SessionWriter(lambda number: host.open), "drop", VIEWER_STEPS)
+            self._publisher = Publisher(SessionWriter(lambda number: host.open, PAGE_ASPECT), "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
             if options.viewer == "web":
                 viewer = Viewer(host.files, host.origin, host.query)

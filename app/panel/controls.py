@@ -209,9 +209,9 @@ class Bound:
         self.control = control
         self.handle = handle
 
-    def show(self, settings: Settings) -> None:
+    def show(self, settings: Settings, at_once: bool = False) -> None:
         """Have the control show what the desk has, unless somebody is at it."""
-        if time() - self.handle.update_timestamp < REST:
+        if not at_once and time() - self.handle.update_timestamp < REST:
             return
         value = value_of(settings, self.control.name)
         if isinstance(self.control, Number):
@@ -238,9 +238,10 @@ def _close(a: float, b: Any) -> bool:
 class Controls:
     """The controls of some settings."""
 
-    def __init__(self, gui: viser.GuiApi, put: Callable[[dict[str, Any]], Any]) -> None:
+    def __init__(self, gui: viser.GuiApi, put: Callable[[dict[str, Any]], Any], read: Callable[[], Settings]) -> None:
         self._gui = gui
         self._put = put
+        self._read = read
         self._own = threading.local()
         self.bound: list[Bound] = []
 
@@ -248,6 +249,7 @@ class Controls:
         """Put them on the page, where the page is being built."""
         made = [Bound(control, self._handle(control)) for control in controls]
         for bound in made:
+            bound.show(self._read(), at_once=True)
             bound.handle.on_update(self._callback(bound))
         self.bound += made
         return made

@@ -189,7 +189,7 @@ class Panel:
         gui.main_panel.float(x=0, y=-1, width=WIDTH, height=HEIGHT)
         gui.set_panel_label(LABEL)
         source = status.info.source
-        self.controls = Controls(gui, self._put)
+        self.controls = Controls(gui, self._put, self._engine.desk.read)
         self.headline = gui.add_markdown(now.headline(status))
         self.message = gui.add_markdown(now.message(status))
         self._build_transport()
@@ -404,6 +404,7 @@ class Panel:
         if self._view is not None:
             self._view.show(status)
         pick = self._view.describe_pick(status) if self._view is not None else ""
+        self.controls.show(status.settings)  # always: one that somebody was at is left for later
         shown = (status.changed, recorded, self._told(), pick)
         if shown == self._shown and not status.playing:
             return
@@ -420,7 +421,6 @@ class Panel:
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
-        self.controls.show(status.settings)
         for key, box in self.filters.items():
             _set(box, "value", key in status.settings.filters)
         _set(self.time, "value", status.step)

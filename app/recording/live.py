@@ -35,11 +35,16 @@ TRIES = 5
 """Somebody else may take a free port before the server does."""
 
 
+def quiet() -> None:
+    """Before Rerun is imported: it says on stderr what is raised here as `RecordingLost`."""
+    os.environ.setdefault("RUST_LOG", "off")
+
+
 class LiveHost:
     """The server and what leads to it.  Close it when all is over; whatever happens, it ends with this process."""
 
     def __init__(self, memory: str = MEMORY) -> None:
-        os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised here as `RecordingLost`
+        quiet()
         said = ""
         for _ in range(TRIES):
             grpc, web = free_ports(2)

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from app.live.engine import Begun, Forked, Stepped
+from app.recording.blueprint import MAP_ASPECT
 from app.recording.stream import FileStream, OpenStream
 from app.recording.writer import Writer
 from app.types import SessionInfo
@@ -20,9 +21,10 @@ TRUNK = "the first run"
 class SessionWriter:
     """A `Listener` that writes.  The branch that it sees first is the run itself; all others lie beside it."""
 
-    def __init__(self, open_stream: Callable[[int], OpenStream]) -> None:
-        """`open_stream` is asked for the stream of every session, by its number."""
+    def __init__(self, open_stream: Callable[[int], OpenStream], aspect: float = MAP_ASPECT) -> None:
+        """`open_stream` is asked for the stream of every session, by its number; `aspect` is that of the window."""
         self._open = open_stream
+        self._aspect = aspect
         self._writers: dict[str, Writer] = {}
         self._first: Writer | None = None
         self._info: SessionInfo | None = None
@@ -33,7 +35,7 @@ class SessionWriter:
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised as `RecordingLost`
         filters = tuple(ESTIMATORS[key] for key in begun.settings.filters)
         self._info = begun.info._replace(filters=filters, params=begun.settings.params, noise=begun.settings.noise)
-        self._first = Writer(self._info, self._open(begun.number))
+        self._first = Writer(self._info, self._open(begun.number), self._aspect)
 
     def forked(self, forked: Forked) -> None:
         """A tree of its own."""
