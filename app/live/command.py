@@ -97,7 +97,6 @@ class Workbench:
         from scenarios.registry import worlds
 
         quiet()
-        from app.recording.blueprint import PAGE_ASPECT
         from app.recording.session import SessionWriter, file_streams
 
         self._out = out
@@ -110,7 +109,7 @@ class Workbench:
         host = None if options.viewer == "none" else LiveHost()
         if host is not None:
             stack.callback(host.close)
-            self._publisher = Publisher(SessionWriter(lambda number: host.open, PAGE_ASPECT), "drop", VIEWER_STEPS)
+            self._publisher = Publisher(SessionWriter(lambda number: host.open, live=True), "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
             if options.viewer == "web":
                 viewer = Viewer(host.files, host.origin, host.query)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from time import monotonic
 
 from app.live.engine import Begun, Forked, Stepped
-from app.recording.blueprint import MAP_ASPECT
+from app.recording.blueprint import MAP_ASPECT, PAGE_ASPECT
 from app.recording.stream import FileStream, OpenStream
-from app.recording.writer import Writer
+from app.recording.writer import Detail, Writer
 from app.types import SessionInfo
 from slam.estimators import ESTIMATORS
+
+PICTURES = 8.0
+"""[1/s]"""
 
 TRUNK = "the first run"
 """What people call the branch without a name, where another one was there first."""
@@ -21,10 +26,16 @@ TRUNK = "the first run"
 class SessionWriter:
     """A `Listener` that writes.  The branch that it sees first is the run itself; all others lie beside it."""
 
-    def __init__(self, open_stream: Callable[[int], OpenStream], aspect: float = MAP_ASPECT) -> None:
-        """`open_stream` is asked for the stream of every session, by its number; `aspect` is that of the window."""
+    def __init__(self, open_stream: Callable[[int], OpenStream], live: bool = False) -> None:
+        """`open_stream` is asked for the stream of every session, by its number.
+
+        `live`, for viewers: numbers and events of every step, pictures `PICTURES` times a second.  A picture takes
+        longer than a step, and nobody sees more of them.
+        """
         self._open = open_stream
-        self._aspect = aspect
+        self._live = live
+        self._aspect = PAGE_ASPECT if live else MAP_ASPECT
+        self._pictured_at = -math.inf
         self._writers: dict[str, Writer] = {}
         self._first: Writer | None = None
         self._info: SessionInfo | None = None
@@ -50,7 +61,15 @@ class SessionWriter:
             self._writers[stepped.branch] = self._first
         if stepped.branch not in self._writers:
             self._writers[stepped.branch] = self._beside(stepped.branch or TRUNK)
-        self._writers[stepped.branch].step(stepped.step)
+        self._writers[stepped.branch].step(stepped.step, self._detail())
+
+    def _detail(self) -> Detail:
+        if not self._live:
+            return "usual"
+        if monotonic() - self._pictured_at < 1.0 / PICTURES:
+            return "numbers"
+        self._pictured_at = monotonic()
+        return "all"
 
     def closed(self) -> None:
         """Complete it."""

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -41,6 +41,9 @@ GUIDES = {
     "n_eff/threshold": "resampling below",
 }
 """Series in `/plots` that belong to no filter."""
+
+Detail = Literal["usual", "all", "numbers"]
+"""What is written of a step: pictures as often as their turn comes, all of them, or none."""
 
 OF_A_BRANCH = ("n_eff/threshold",)
 """Those of them that may differ from the run's."""
@@ -138,7 +141,7 @@ class Writer:
             branches = [self._shown, *(branch._shown for branch in self._branches.values())]
             self._stream.show(layout_of_branches(branches))
 
-    def step(self, step: SessionStep) -> None:
+    def step(self, step: SessionStep, detail: Detail = "usual") -> None:
         """One observing step.
 
         `stage` has three moments of it.  `step` and `sim_time` have one: the particles as they are weighted, and all
@@ -149,7 +152,27 @@ class Writer:
 
         self._stream.set_time(stage, *now)
         self._notice(step.filters.keys())
-        self._write_surroundings(step)
+        self._remember(step)
+        if detail != "numbers":
+            self._write_pictures(step, stage, now, detail == "all")
+
+        self._stream.set_time(stage + 2, *now)
+        for key, update in step.filters.items():
+            for metric in METRICS:
+                self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
+        self._write_guides(step)
+        for event in self._watch.step(step):
+            line = rr.TextLog(
+                f"{step.index}: {event.text}",
+                level=event.level,
+                color=colours.of_filter(event.who) if event.who else None,
+            )
+            self._stream.log("events", line)
+        self._stream.check()
+
+    def _write_pictures(self, step: SessionStep, stage: int, now: tuple[int, float], everything: bool) -> None:
+        """All but numbers; `everything`, however seldom its turn is in a long run."""
+        self._write_surroundings(step, everything)
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
 
@@ -172,18 +195,7 @@ class Writer:
 
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
-            self._write_memory(key, update, step.index)
-            for metric in METRICS:
-                self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
-        self._write_guides(step)
-        for event in self._watch.step(step):
-            line = rr.TextLog(
-                f"{step.index}: {event.text}",
-                level=event.level,
-                color=colours.of_filter(event.who) if event.who else None,
-            )
-            self._stream.log("events", line)
-        self._stream.check()
+            self._write_memory(key, update, step.index, everything)
 
     def close(self) -> None:
         """Complete the file."""
@@ -246,19 +258,24 @@ class Writer:
             self._write_looks()
             self.show()
 
-    def _write_surroundings(self, step: SessionStep) -> None:
-        redraw = due(step.index, self._info.steps, self._limits.paths)
-        z, length, log = self._lift, self._size / 30, self._stream.log
+    def _remember(self, step: SessionStep) -> None:
+        """Where the robot was, and where dead reckoning was; also of steps of which there is no picture."""
         if step.truth is not None and known(step.truth):
             if self._truth_lost or not self._truth:
                 self._truth.append([])
             self._truth[-1].append(step.truth)
             self._truth_seen, self._truth_lost = step.frame.time, False
-            log("world/truth/robot", *scene.robot(step.truth, scene.TRUTH * z, length))
         elif self._truth and step.frame.time - self._truth_seen > TRUTH_GAP:
             self._truth_lost = True
-            log("world/truth/robot", rr.Clear(recursive=False))  # nobody knows where it is
         self._odometry.append(step.odometry)
+
+    def _write_surroundings(self, step: SessionStep, everything: bool) -> None:
+        redraw = everything or due(step.index, self._info.steps, self._limits.paths)
+        z, length, log = self._lift, self._size / 30, self._stream.log
+        if step.truth is not None and known(step.truth):
+            log("world/truth/robot", *scene.robot(step.truth, scene.TRUTH * z, length))
+        elif self._truth_lost:
+            log("world/truth/robot", rr.Clear(recursive=False))  # nobody knows where it is
         if redraw and self._truth:
             share = max(2, self._limits.vertices // len(self._truth))
             paths = [thinned(np.array(stretch), share) for stretch in self._truth if len(stretch) > 1]
@@ -303,16 +320,16 @@ class Writer:
         for entity, what in seen.items():
             self._stream.log(f"world/{key}/{entity}", *what)
 
-    def _write_memory(self, key: str, update: FilterUpdate, index: int) -> None:
+    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool) -> None:
         """What the filter remembers: maps, paths, ancestry."""
         style, limits, log = self._styles[key], self._limits, self._stream.log
         weighted, steps = update.trace.weighted, self._info.steps
-        picture = due(index, steps, limits.pictures)
+        picture = everything or due(index, steps, limits.pictures)
         if picture or update.measures.features <= limits.features:
             theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
             for entity, what in self._features.best_map(theta, Sigma, style).items():
                 log(f"world/{key}/{entity}", *what)
-        if due(index, steps, limits.paths):
+        if everything or due(index, steps, limits.paths):
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))

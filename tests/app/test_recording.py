@@ -64,7 +64,7 @@ def info() -> SessionInfo:
 
 
 def record(path, info: SessionInfo) -> list[SessionStep]:
-    watch, changes = Watch(), [(CHANGE, dataclasses.replace(info.params, particles=FEWER))]
+    watch, changes = Watch(), [session.Change(CHANGE, dataclasses.replace(info.params, particles=FEWER))]
     session.run(info, [Recorder(path), watch], changes)
     return watch.steps
 

@@ -23,7 +23,7 @@ from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.perception import STANDARD, extract
-from slam.types import Noise, Params
+from slam.types import Noise
 
 STEPS = 12
 ROOT = Path(__file__).parent.parent.parent
@@ -74,7 +74,7 @@ def watch(
     keys: Sequence[str] = ("dfs", "fs2"),
     particles: int = 10,
     seed: int = 3,
-    changes: Sequence[tuple[int, Params]] = (),
+    changes: Sequence[session.Change] = (),
     noise: Noise | None = None,
     features: str = "landmarks",
 ) -> list[SessionStep]:
