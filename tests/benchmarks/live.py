@@ -60,10 +60,9 @@ def main() -> None:
             for publisher in publishers:
                 publisher.join(600.0)
             done = monotonic() - began
-            shares = ", ".join(f"{p.seconds / done:.0%} ({p.published} steps, {p.dropped} dropped)" for p in publishers)
-            print(
-                f"{name}: {arguments.steps / made:.0f} steps/s made, {arguments.steps / done:.0f} with all written; {shares}"
-            )
+            shares = ", ".join(f"{p.seconds / done:.0%} ({p.published} of {arguments.steps})" for p in publishers)
+            made_rate, done_rate = arguments.steps / made, arguments.steps / done
+            print(f"{name}: {made_rate:.0f} steps/s made, {done_rate:.0f} with all written; {shares}")
         print(f"file: {path.stat().st_size / 1024 / arguments.steps:.0f} KiB a step")
     host.close()
 
