@@ -19,8 +19,8 @@
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
-- `duplicates`: features that show again what an earlier one shows: the same landmark, or half of their length or more
-  of the same wall.
+- `duplicates`: features that show again what earlier ones show: the same landmark; or of the same wall, half or more of
+  the shorter of two features, or half or more of one that several earlier ones cover together.
 - `association`: observations whose truth is known, by what the best particle made of them: `missed` are those that it
   did not pair with what its map holds, `wrong` those that it paired with something else.
 - `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.
