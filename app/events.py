@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.loops import Distances, Loops
+from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
 from slam.types import Floats
 
@@ -19,7 +19,8 @@ QUIET = 10
 """[steps] that something must have been away before its return is told."""
 
 LOOP = 40.0
-"""[m] of travel since a feature was last matched, after which matching it again closes a loop."""
+"""[m] of travel since a feature was last matched, after which matching it again closes a loop: rightly, where anybody
+knows."""
 
 
 class Event(NamedTuple):
@@ -66,9 +67,11 @@ class Watch:
         if self._begins(key, "association lost", bool(measures.wrong or measures.missed), step.index):
             yield "association lost", "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
         gaps = self._loops[key].step(trace, measures.best, self._travelled)
-        gaps = gaps[gaps >= LOOP]
-        if self._begins(key, "loop closed", len(gaps) > 0, step.index):
-            yield "loop closed", "INFO", _loop_closed(gaps)
+        far = gaps >= LOOP
+        if far.any():
+            far &= right_matches(trace, step.frame.tags, measures.best)
+        if self._begins(key, "loop closed", bool(far.any()), step.index):
+            yield "loop closed", "INFO", _loop_closed(gaps[far])
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
             text = "has an infinite NEES: its particles agree on one position, and the truth is another"
             yield "singular", "WARN", text

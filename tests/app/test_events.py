@@ -13,14 +13,14 @@ import pytest
 
 from app import session
 from app.events import Watch
-from app.loops import Loops
+from app.loops import Loops, right_matches
 from app.recording import Recorder
 from app.recording.pipe import Pipe
 from app.recording.reading import Recording
 from app.types import best_descendant
 from scenarios.registry import build, landmark_options
 from slam.estimators import ESTIMATORS
-from slam.types import IGNORED, NEW, Particles, Trace
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Particles, Trace
 
 
 def told(world: str, key: str, walls: bool = False, **changes: object) -> list[tuple[int, str]]:
@@ -45,6 +45,36 @@ def test_a_loop_of_walls_is_told_to_close_when_it_does():
     assert min(closed) > 200
     assert any(step < 300 for step in closed)
     assert len(closed) < 10
+
+
+def test_a_wrong_match_closes_no_loop():
+    """The same session; but of everything that is seen it is told that it is something else."""
+    source = build("loop")
+    info = session.make_info(source, [ESTIMATORS["ekf"]], seed=1, count=300)
+    told = {0: [], 1000: []}
+    watches = {shift: Watch({"ekf": "EKF-SLAM"}) for shift in told}
+    for step in session.steps(info):
+        for shift, watch in watches.items():
+            frame = step.frame._replace(tags=step.frame.tags + shift)
+            told[shift] += [event.kind for event in watch.step(dataclasses.replace(step, frame=frame))]
+    assert "loop closed" in told[0]
+    assert "loop closed" not in told[1000]
+
+
+@pytest.mark.parametrize(
+    ("seen", "of_map", "right"),
+    [
+        ([7, 8, 9], [1, 8, 7], [True, False]),
+        ([7, 8, UNKNOWN_TAG], [UNKNOWN_TAG, 8, 7], [True, False]),  # what nobody knows, taken for the same
+        ([UNKNOWN_TAG] * 3, [UNKNOWN_TAG] * 3, [True, True]),  # a log: nobody knows
+        ([UNKNOWN_TAG] * 3, [9, UNKNOWN_TAG, UNKNOWN_TAG], [False, False]),
+    ],
+)
+def test_which_matches_are_right(seen: list[int], of_map: list[int], right: list[bool]):
+    """The first is taken for feature 2, the second is new, the third is taken for feature 0."""
+    maps = SimpleNamespace(features=lambda k: (None, None, np.array(of_map)))
+    trace = SimpleNamespace(n=np.array([[IGNORED] * 3, [2, NEW, 0]]), weighted=SimpleNamespace(maps=maps))
+    assert right_matches(trace, np.array(seen), 1).tolist() == right  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("world", "walls"), [("paper-line", False), ("corridor", True)])

@@ -42,10 +42,15 @@ def test_the_second_pass_is_from_the_start_to_the_first_corner(loop):
     assert np.linalg.norm(truth[half, :2] - [-start[0] - 0.86, 20.0]) < step
 
 
-def update_of(n, births, best=0, error=0.1, resized=(0, 1), selected=(0, 1), heading=0.0):
-    maps = SimpleNamespace(counts=np.array(births))
+def update_of(n, births, best=0, wrong=(), error=0.1, resized=(0, 1), selected=(0, 1), heading=0.0):
+    """A step in which every wall is taken for the feature that was born of it, but those in `wrong`."""
+    tags = np.array(n[best], np.int64)
+    tags[list(wrong)] += 100
+    maps = SimpleNamespace(counts=np.array(births), features=lambda k: (None, None, np.arange(births[k])))
     trace = SimpleNamespace(
         n=np.array(n),
+        frame_tags=tags,
+        weighted=SimpleNamespace(maps=maps),
         resampled=SimpleNamespace(maps=maps),
         resized=np.array(resized),
         selected=np.array(selected),
@@ -61,6 +66,7 @@ def watched(*updates):
         watch.step(
             SimpleNamespace(
                 index=index,
+                frame=SimpleNamespace(tags=update.trace.frame_tags),
                 filters={"dfs": update},
                 truth=np.zeros(3),
                 odometry=np.array([3.0, 4.0, 2 * math.pi - 0.1]),
@@ -84,6 +90,13 @@ def test_old_walls_are_those_of_the_particles_own_ancestor():
     assert watched(first, crossed, other, other, first).share == 1.0
 
 
+def test_old_walls_are_those_that_were_seen():
+    first = update_of([[0, 1], [0, 1]], births=[3, 5])
+    passing = update_of([[0, 1, 2, 5], [0, 0, 0, 0]], births=[9, 9], wrong=[1])
+    found = watched(first, first, passing, passing)
+    assert (found.matches, found.share) == (8, 0.5)  # one of four is new, and one is another
+
+
 @pytest.mark.parametrize(
     ("errors", "closed"),
     [([0.1, 0.1], True), ([0.9, 0.4], True), ([0.1, 0.5], False), ([0.1, math.nan], False)],
@@ -96,7 +109,7 @@ def test_closed_needs_the_position_in_the_second_half_of_the_pass(errors, closed
 
 def test_a_pass_without_a_match_is_not_closed():
     first = update_of([[0, 1], [0, 1]], births=[3, 5])
-    blind = update_of([[], []], births=[9, 9])
+    blind = update_of(np.empty((2, 0), np.int64), births=[9, 9])
     found = watched(first, first, blind, blind)
     assert (found.closed, found.share, found.matches) == (False, 0.0, 0)
 
@@ -109,7 +122,7 @@ def test_the_fewest_particles_close_every_run():
 
 
 def test_loop_closure(capsys, tmp_path):
-    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 30 --doors rooms --jobs 1 --seed 3"
+    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 30 --doors rooms --jobs 1 --seed 5"
     found = saved(tmp_path, *line.split())
     out = capsys.readouterr().out
     for text in ("loop, doors rooms", "error [m]", "Dual FastSLAM closes all with 30 particles", "2 of 2 seeds"):
