@@ -14,7 +14,7 @@ from app import session, values
 from app.loops import right_matches
 from app.options import FILTERS
 from app.study.jobs import run_all
-from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish
+from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish, unseen
 from app.study.statistics import spread
 from app.study.walls import WallStudy, settings, tuned
 from app.types import FilterUpdate, SessionInfo, SessionStep
@@ -56,6 +56,8 @@ class Outcome(NamedTuple):
     """Of the walls that the best particle matched in the pass, those of the first pass that it matched rightly."""
     matches: int
     """How many it matched there."""
+    observed: int
+    """Walls seen in all steps."""
     position_median_m: float
     """Of the pass."""
     position_worst_m: float
@@ -110,7 +112,10 @@ class LoopClosure(WallStudy):
             "cells": [_result(*cell, outcomes) for cell, outcomes in cells.items()],
             "fewest": {key: fewest_closing(key, cells) for key in dict.fromkeys(key for key, _ in cells)},
         }
-        return finish(self, "loop-closure", command, results, tables, (fewest, self.runs), stopped, NOTE)
+        blind = unseen([outcome.observed for outcome in next(iter(cells.values()), [])])  # alike for all filters
+        return finish(
+            self, "loop-closure", command, results, tables, (fewest, self.runs), stopped, NOTE, warnings=blind
+        )
 
     def _table(self, cells: dict[tuple[str, int], list[Outcome]]) -> Table:
         columns = ("K", "closed", "old walls [%]", "error [m]", "worst [m]", "heading [°]", "features", "duplicates")
@@ -172,7 +177,7 @@ class _Watch:
         self.key, self.half, self.second = key, half, second
         self.first: Ints = np.empty(0, np.int64)
         """(K,) how many features, those of lower index, the ancestor of each particle had after half a lap."""
-        self.old = self.matches = self.resamplings = 0
+        self.old = self.matches = self.observed = self.resamplings = 0
         self.errors: list[float] = []
         self.seconds: list[float] = []
 
@@ -183,6 +188,7 @@ class _Watch:
         update = step.filters[self.key]
         trace, index = update.trace, step.index - 1
         self.seconds.append(update.seconds)
+        self.observed += len(step.frame.z)
         self.resamplings += trace.did_resample
         if index == self.half:
             self.first = trace.resampled.maps.counts.copy()
@@ -214,6 +220,7 @@ class _Watch:
             closed=share >= SHARE and worst < NEAR,
             share=share,
             matches=self.matches,
+            observed=self.observed,
             position_median_m=float(np.median(self.errors)),
             position_worst_m=worst,
             heading_error_rad=measures.heading_error_rad,

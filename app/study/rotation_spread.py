@@ -13,7 +13,7 @@ from app import session, values
 from app.options import FILTERS
 from app.study.corridor_spread import DeviationWatch, Outcome
 from app.study.jobs import run_all
-from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish
+from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish, unseen
 from app.study.statistics import spread
 from app.study.walls import WallStudy, settings, tuned
 from scenarios.registry import build
@@ -72,7 +72,10 @@ class RotationSpread(WallStudy):
             "reference": {"particles": self.reference, "runs": [outcome._asdict() for outcome in reference]},
             "cells": [_result(*cell, outcomes, reference) for cell, outcomes in cells.items()],
         }
-        return finish(self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS)
+        blind = unseen([outcome.observed for outcome in reference])  # alike for all filters
+        return finish(
+            self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS, warnings=blind
+        )
 
     def _table(self, reference: list[Outcome], cells: dict[tuple[str, int], list[Outcome]]) -> Table:
         columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", "ratio", "rms error [m]")]
