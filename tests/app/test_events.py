@@ -124,6 +124,33 @@ def test_what_lasts_is_told_once():
     assert min(np.diff(lost), default=99) > 1
 
 
+def sights(times: list[float], seen: list[int]) -> list[tuple[float, str, str, str, str]]:
+    """Time and event, of a session without filters in which so many things are seen at these times."""
+    watch, told = Watch({}), []
+    for time, before, count in zip(times, [0.0, *times], seen, strict=False):
+        frame = SimpleNamespace(time=time, dt=np.array([time - before]), z=np.zeros((count, 2)))
+        step = SimpleNamespace(frame=frame, changes=(), filters={}, odometry=np.zeros(3))
+        told += [(time, *event) for event in watch.step(step)]  # type: ignore[arg-type]
+    return told
+
+
+def test_it_is_told_once_that_nothing_is_seen_and_when_that_ends():
+    times = [0.5 * i for i in range(1, 401)]
+    seen = [0 if 20 < time <= 100 or 120 < time <= 149 else 3 for time in times]
+    nothing, again = sights(times, seen)
+    assert nothing == (50.0, "WARN", "Nothing has been seen since 20.0 s, for 30 s", "", "nothing seen")
+    assert again == (100.5, "INFO", "Something is seen again, after 80.5 s", "", "seen again")
+    ((time, _, text, *_),) = sights(times, [0] * 400)
+    assert (time, text) == (30.0, "Nothing has been seen since 0.0 s, for 30 s")
+
+
+def test_where_one_looks_but_rarely_it_is_not_told():
+    """Ten or forty seconds from one look to the next, and every other one sees something."""
+    for apart in (10.0, 40.0):
+        assert not sights([apart * i for i in range(1, 41)], [3, 0] * 20)
+    assert sights([10.0 * i for i in range(1, 41)], [0] * 40)[0][0] == 50.0
+
+
 def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():
     source = build("paper-line")
     params = source.params(particles=20, resampler="multinomial", resample_below=1.0)
