@@ -235,6 +235,13 @@ def test_rotation_spread(capsys, tmp_path):
         assert cell["median_ratio"]["across"] == pytest.approx(np.median(np.array(cell["ratios"])[:, 1]))
     np.testing.assert_allclose(cells["dfs", 20]["ratios"], 1.0)  # the reference itself
     assert not np.allclose(cells["fs2", 20]["ratios"], 1.0)
+    # Beside the root of the mean square error that of the reported variances, not their median.
+    assert "rms/error" in out
+    for cell in (found["reference"], *cells.values()):
+        for axis, name in enumerate(("along", "across")):
+            errors, variances = (np.array([run[of][axis] for run in cell["runs"]]) for of in ("error_m", "variance_m2"))
+            assert cell[name]["reported_m"] == pytest.approx(math.sqrt(np.mean(variances)))
+            assert cell[name]["ratio"]["value"] == pytest.approx(math.sqrt(np.mean(variances) / np.mean(errors**2)))
 
 
 @pytest.mark.parametrize(
