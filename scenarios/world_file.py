@@ -322,6 +322,8 @@ def _walls(top: Table) -> World:
 
 def _movers(table: Table) -> Movers:
     paths = table.segments("paths")
+    if not paths:
+        raise SourceError("movers.paths is []; expected at least one [x0, y0, x1, y1], or no table [movers]")
     each = (table.numbers(name, len(paths)) for name in Movers._fields[1:])
     movers = Movers(np.array(paths, float).reshape(-1, 4), *(np.array(values, float) for values in each))
     table.end()

@@ -208,12 +208,18 @@ BAD_WALLS = [
     ("odometry = 0.1", "odometry = 0.1\nmissing = 2", 11, ["noise.missing is 2", "at most 1"]),
     ("odometry = 0.1", "odometry = -0.1", 10, ["noise.odometry is -0.1", "at least 0"]),
     ("speed = 0.8", "speed = 0.8\nwait = -1", 3, ["route.wait is -1", "at least 0"]),
-    ("[walls]", "[movers]\npaths = [[0, 0, 1, 1]]\n[walls]", 12, ["movers.speeds is missing"]),
+    (
+        "[walls]",
+        "[movers]\npaths = [[0, 0, 1, 1]]\n[walls]",
+        12,
+        ["movers.speeds is missing; expected a list of 1 number"],
+    ),
+    ("[walls]", "[movers]\npaths = []\n[walls]", 13, ["movers.paths is []", "or no table [movers]"]),
     (
         "[walls]",
         "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1, 2]\n[walls]",
         14,
-        ["movers.speeds is [1, 2]", "expected 1 numbers"],
+        ["movers.speeds is [1, 2]; expected 1 number"],
     ),
     (
         "[walls]",
