@@ -9,6 +9,7 @@ import pytest
 
 from scenarios.laser import Laser
 from scenarios.paper_line import LAYOUTS
+from scenarios.preview import world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.simulate import simulate
 from scenarios.types import Source, SourceError
@@ -175,6 +176,21 @@ def test_a_world_of_walls_of_ones_own(tmp_path: Path) -> None:
 def test_a_robot_that_waits(tmp_path: Path) -> None:
     source = read_world(write(tmp_path, WALLS.replace("speed = 0.8", "speed = 0.8\nwait = 3600")))
     assert len(source.steps) == 7225
+
+
+def test_walls_are_counted_as_they_are_drawn(tmp_path: Path) -> None:
+    """One that is seen from both sides is two features of a map, but one wall."""
+    around = "waypoints = [[0, 0], [10, 0], [10, 4], [0, 4]]"
+    one = WALLS.replace("waypoints = [[0, 0], [10.0, 0]]", around).replace(
+        "[[-2, 1, 12, 1], [-2, -1, 12, -1.5]]", "[[2, 2, 6, 2]]"
+    )
+    source = read_world(write(tmp_path, one))
+    assert source.true_map is not None
+    assert len(source.true_map.tags) == 2
+    assert world_row(source).things == 1
+    assert world_row(read_world(write(tmp_path, WALLS))).things == 2
+    with pytest.raises(SourceError, match=r"route: the only wall never comes into view, with laser\.max_range 0\.5 m"):
+        read_world(write(tmp_path, one.replace("max_range = 8", "max_range = 0.5")))
 
 
 def test_walls_in_the_way_are_a_warning(tmp_path: Path) -> None:
@@ -346,7 +362,7 @@ BAD = [
     ("[[0, 0], [10.0, 0], [10, 8]]", "[[0, 0], [nan, 0]]", ["route.waypoints[1] is nan", "finite"]),
     ("[[5, 3], [12, 4.5]]", "[]", ["landmarks: there are 0"]),
     ("[[5, 3], [12, 4.5]]", "[[5, 1e300]]", ["landmark 1 is at (5, 1e+300)"]),
-    ("[[5, 3], [12, 4.5]]", "[[5, 300]]", ["none of the 1 landmarks", "max_range 10 m", "route past landmarks"]),
+    ("[[5, 3], [12, 4.5]]", "[[5, 300]]", ["the only landmark never comes", "max_range 10 m", "route past landmarks"]),
     ("4.5]]", "4.5]]\ntags = [3, 3]", ["landmarks.tags: 3 is there 2 times"]),
     ("4.5]]", "4.5]]\ntags = [3]", ["landmarks.tags: there are 1", "each of the 2"]),
     ("4.5]]", "4.5]]\ntags = [-1, 2]", ["landmarks.tags: -1 is negative"]),
