@@ -1,6 +1,7 @@
 """World files: the same bits back, and an error that says where and what for everything else."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from scenarios.paper_line import LAYOUTS
 from scenarios.preview import world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.simulate import simulate
+from scenarios.toml_table import Table
 from scenarios.types import Source, SourceError
 from scenarios.world import World, world_of_points, world_of_walls
 from scenarios.world_file import read_scenario, read_world, world_text, write_world
 from slam.motion import Ackermann, Odometry
-from slam.types import Noise
+from slam.types import UNKNOWN_TAG, Noise
 
 GOOD = """\
 title = "two trees"
@@ -198,6 +200,9 @@ def test_walls_in_the_way_are_a_warning(tmp_path: Path) -> None:
     [warning] = read_world(write(tmp_path, text)).warnings
     assert "walls.segments[0], from (3, 1) to (3, -1), is in the way" in warning
 
+
+PEOPLE = "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1]\noffsets = [0]\nradii = [0.2]\n[walls]"
+contains = Table.__contains__
 
 BAD_WALLS = [
     ("segments = [[-2, 1, 12, 1], [-2, -1, 12, -1.5]]", "segments = []", 13, ["walls.segments: there are 0"]),
@@ -467,3 +472,35 @@ def test_a_bad_value_has_its_line(tmp_path: Path, old: str, new: str, key: str) 
     with pytest.raises(SourceError) as caught:
         build(str(path))
     assert str(caught.value).startswith(f"{path}:{line}: ")
+
+
+GUIDE = (Path(__file__).parent.parent.parent / "scenarios" / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_the_guide_is_a_world(tmp_path: Path) -> None:
+    [example] = re.findall(r"```toml\n(.*?)```", GUIDE, flags=re.DOTALL)
+    source = read_world(write(tmp_path, example))
+    assert source.warnings == ()
+    assert source.title == "a corridor with a corner, and somebody in it"
+    row = world_row(source)
+    assert (row.things, row.what) == (4, "walls")
+    assert row.visible > 2
+    somebody = [f.frame.scan.walls for f in source.steps if f.frame.scan is not None and f.frame.scan.walls is not None]
+    assert source.steps[0].truth is not None
+    assert source.steps[3].truth.tolist() == [1.0, 0.0, 0.0]  # type: ignore[union-attr]
+    assert any((walls == UNKNOWN_TAG).any() for walls in somebody)
+
+
+def test_the_guide_has_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: set[str] = set()
+    monkeypatch.setattr(Table, "__contains__", lambda table, key: asked.add(table.path(key)) or contains(table, key))
+    read_scenario(write(tmp_path, WALLS.replace("[walls]", PEOPLE)))
+    random = "[landmarks.random]\nnumber = 3\narea = [0, 0, 9, 9]"
+    read_scenario(write(tmp_path, GOOD.replace("points = [[5, 3], [12, 4.5]]", random)))
+    car = GOOD.replace("speed = 0.8", "speed = 0.8\ncorner_radius = 3") + "[vehicle]\nkind = 'ackermann'\n"
+    read_scenario(write(tmp_path, car))
+    keys = {key.rpartition(".")[2] for key in asked if not key.startswith("defaults.") and not key.endswith("_rad")}
+    section = GUIDE[GUIDE.index("## The world file") : GUIDE.index("## Logs")]
+    named = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`\n]+`", section))))
+    assert keys <= named
+    assert len(keys) > 30
