@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.loops import Distances, Loops
+from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
-from slam.types import Floats
+from slam.types import Floats, Frame
 
 FEW = 0.1
 """Share of K below which N_eff means that a filter is depleted of hypotheses."""
@@ -18,8 +18,15 @@ FEW = 0.1
 QUIET = 10
 """[steps] that something must have been away before its return is told."""
 
+BLIND = 30.0
+"""[s] without an observation after which that is told."""
+
+BLIND_STEPS = 5
+"""As many steps must have been empty: where one looks but once in half a minute, one of them says little."""
+
 LOOP = 40.0
-"""[m] of travel since a feature was last matched, after which matching it again closes a loop."""
+"""[m] of travel since a feature was last matched, after which matching it again closes a loop: rightly, where anybody
+knows."""
 
 
 class Event(NamedTuple):
@@ -31,7 +38,7 @@ class Event(NamedTuple):
     who: str = ""
     """Key of the filter; none for the session."""
     kind: str = "changed"
-    """What happened, in a word or two: "resampled", "depleted", "loop closed" ..."""
+    """What happened, in a word or two: "resampled", "depleted", "loop closed", "nothing seen" ..."""
 
 
 class Watch:
@@ -41,6 +48,12 @@ class Watch:
         self._titles = titles
         self._last: dict[tuple[str, str], int] = {}
         """The last step at which something was so."""
+        self._seen: float | None = None
+        """[s] when something was last observed; before that, when the session began."""
+        self._empty = 0
+        """Steps since then."""
+        self._blind = False
+        """Whether that was told."""
         self._travelled = 0.0
         self._odometry: Floats | None = None
         self._loops = {key: Loops() for key in titles}
@@ -51,10 +64,28 @@ class Watch:
             self._travelled += math.dist(self._odometry[:2], step.odometry[:2])
         self._odometry = step.odometry
         events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
+        events += self._sight(step.frame)
         for key, update in step.filters.items():
             told = self._of_filter(key, update, step)
             events += [Event(level, f"{self._titles[key]} {text}", key, kind) for kind, level, text in told]
         return events
+
+    def _sight(self, frame: Frame) -> Iterator[Event]:
+        """That nothing is seen, when that has lasted; and when it ends."""
+        if self._seen is None:
+            self._seen = frame.time - float(np.sum(frame.dt))
+        gone = frame.time - self._seen
+        if len(frame.z) > 0:
+            if self._blind:
+                yield Event("INFO", f"Something is seen again, after {gone:.1f} s", kind="seen again")
+            self._seen, self._empty, self._blind = frame.time, 0, False
+            return
+        self._empty += 1
+        if not self._blind and gone >= BLIND and self._empty >= BLIND_STEPS:
+            self._blind = True
+            yield Event(
+                "WARN", f"Nothing has been seen since {self._seen:.1f} s, for {gone:.0f} s", kind="nothing seen"
+            )
 
     def _of_filter(self, key: str, update: FilterUpdate, step: SessionStep) -> Iterator[tuple[str, str, str]]:
         """Kind, level and text."""
@@ -66,9 +97,11 @@ class Watch:
         if self._begins(key, "association lost", bool(measures.wrong or measures.missed), step.index):
             yield "association lost", "WARN", _association_lost(measures.correct, measures.wrong, measures.missed)
         gaps = self._loops[key].step(trace, measures.best, self._travelled)
-        gaps = gaps[gaps >= LOOP]
-        if self._begins(key, "loop closed", len(gaps) > 0, step.index):
-            yield "loop closed", "INFO", _loop_closed(gaps)
+        far = gaps >= LOOP
+        if far.any():
+            far &= right_matches(trace, step.frame.tags, measures.best)
+        if self._begins(key, "loop closed", bool(far.any()), step.index):
+            yield "loop closed", "INFO", _loop_closed(gaps[far])
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
             text = "has an infinite NEES: its particles agree on one position, and the truth is another"
             yield "singular", "WARN", text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.types import Trace
+from slam.types import UNKNOWN_TAG, Bools, Ints, Trace
 
 Distances = NDArray[np.float32]
 """Single precision: there is one for every particle and feature."""
@@ -36,6 +36,19 @@ class Loops:
             last[owner, before[owner] + made] = travelled
         self._last = last[trace.selected]
         return gaps
+
+
+def right_matches(trace: Trace, tags: Ints, k: int) -> Bools:
+    """Whether each match of particle k of `trace.weighted` is with a feature of the thing that was seen.
+
+    `tags` (Z,) are those of the frame.  All are right where neither the frame nor the map has one that is known.
+    """
+    matched = trace.n[k] >= 0
+    _, _, of_map = trace.weighted.maps.features(k)
+    seen, mapped = tags[matched], of_map[trace.n[k][matched]]
+    if (tags == UNKNOWN_TAG).all() and (of_map == UNKNOWN_TAG).all():
+        return np.ones(len(seen), np.bool_)
+    return (seen == mapped) & (seen != UNKNOWN_TAG)
 
 
 def _with_room(last: Distances, K: int, n: int) -> Distances:

@@ -19,11 +19,12 @@
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
-- `duplicates`: features that show again what an earlier one shows: the same landmark, or half of their length or more
-  of the same wall.
+- `duplicates`: features that show again what earlier ones show: the same landmark; or of the same wall, half or more of
+  the shorter of two features, or half or more of one that several earlier ones cover together.
 - `association`: observations whose truth is known, by what the best particle made of them: `missed` are those that it
   did not pair with what its map holds, `wrong` those that it paired with something else.
-- `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.
+- `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.  The key is that
+  of a filter, or empty for the session: nothing was seen for half a minute.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
 - `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time.
@@ -127,7 +128,9 @@ class Summary:
         self.times.append(float(step.frame.time))
         self.truth.append(np.full(3, np.nan) if step.truth is None else step.truth)
         self.changes += [(step.index, sentence) for sentence in step.changes]
-        self.events += [(step.index, event.who, event.text) for event in self._watch.step(step) if event.who]
+        self.events += [
+            (step.index, event.who, event.text) for event in self._watch.step(step) if event.kind != "changed"
+        ]
         self.observed += len(step.frame.z)
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
         for key, update in step.filters.items():

@@ -19,7 +19,7 @@ from app.files import check_file, write_whole
 from app.options import default
 from app.report import print_whole
 from app.sources import WORLD_FILE, describe_options, options_as_typed, world_values
-from scenarios.preview import preview, world_row
+from scenarios.preview import WorldRow, preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
 from scenarios.world_file import world_text
@@ -97,7 +97,7 @@ def _print_all(console: Console) -> None:
         numbers = (
             f"{row.route:.0f} m",
             f"{row.duration:.0f} s",
-            f"{row.things} {row.what}",
+            _things(row),
             f"{row.steps}",
             f"{row.visible:.1f}",
         )
@@ -112,7 +112,7 @@ def _print_one(console: Console, name: str, source: Source) -> None:
     console.print(f"[bold]{escape(source.name)}[/]  {escape(source.title)}\n", soft_wrap=True)
     console.print(preview(source, width=min(console.width - 2, 100)), markup=False, soft_wrap=True)
     console.print(
-        f"\n{row.route:.0f} m in {row.duration:.0f} s, {row.things} {row.what}, {row.steps} observing steps with "
+        f"\n{row.route:.0f} m in {row.duration:.0f} s, {_things(row)}, {row.steps} observing steps with "
         f"{row.visible:.1f} {row.what} in view",
         soft_wrap=True,
     )
@@ -134,6 +134,10 @@ def _print_one(console: Console, name: str, source: Source) -> None:
             table.add_row(f"{option.option} {option.metavar}", escape(text))
         console.print("\noptions")
         print_whole(console, table)
+
+
+def _things(row: WorldRow) -> str:
+    return f"{row.things} {row.what if row.things != 1 else row.what.removesuffix('s')}"
 
 
 def _laser(scan: Scan) -> str:

@@ -29,7 +29,7 @@ class WorldRow(NamedTuple):
     duration: float
     """[s]"""
     things: int
-    """Landmarks or walls."""
+    """How many landmarks or walls there are."""
     what: str
     """Which of them, in the plural."""
     steps: int
@@ -46,12 +46,19 @@ def world_row(source: Source) -> WorldRow:
         name=source.name,
         route=sum(_driven(f) for f in frames),
         duration=frames[-1].time,
-        things=0 if source.true_map is None else len(source.true_map.tags),
+        things=0 if source.true_map is None else _things(source.true_map.theta),
         what="landmarks" if frames[0].scan is None else "walls",
         steps=len(frames),
         visible=float(np.mean([len(f.tags) if f.scan is None else len(walls_in_view(f.scan)) for f in frames])),
         title=source.title,
     )
+
+
+def _things(theta: Floats) -> int:
+    """Landmarks (n, 2), or walls (n, 4) as they were drawn: one that is seen from both sides is in the map twice."""
+    if theta.shape[1] == 2:
+        return len(theta)
+    return len({min((*a, *b), (*b, *a)) for a, b in theta.reshape(-1, 2, 2).tolist()})
 
 
 def _driven(frame: Frame) -> float:

@@ -103,7 +103,7 @@ def _see_landmarks(scenario: Scenario, u: Floats, dt: Floats, path: Floats) -> l
     if not any(len(index) for index, _ in seen):
         nearest = min(float(np.hypot(*(theta - pose[:2]).T).min()) for pose in truth[:: max(1, len(truth) // 1000)])
         raise SourceError(
-            f"route: none of the {len(theta)} landmarks comes into view, with sensor.max_range "
+            f"route: {_none_of(len(theta), 'landmark')} into view, with sensor.max_range "
             f"{sensor.max_range:g} m and the nearest landmark {nearest:.3g} m from the route; expected a "
             "route past landmarks"
         )
@@ -112,6 +112,10 @@ def _see_landmarks(scenario: Scenario, u: Floats, dt: Floats, path: Floats) -> l
         ticks = slice(k * sensor.every, (k + 1) * sensor.every)
         frames.append(Frame(_time(scenario, k), scenario.motion, u[ticks], dt[ticks], Point(), z, tags[index]))
     return frames
+
+
+def _none_of(count: int, what: str) -> str:
+    return f"none of the {count} {what}s comes" if count > 1 else f"the only {what} never comes"
 
 
 def _see_walls(scenario: Scenario, u: Floats, dt: Floats, path: Floats) -> list[Frame]:
@@ -125,7 +129,7 @@ def _see_walls(scenario: Scenario, u: Floats, dt: Floats, path: Floats) -> list[
     scans = scan(laser, world.walls.theta, truth, discs)
     if not any((found.walls >= 0).any() for found in scans if found.walls is not None):
         raise SourceError(
-            f"route: none of the {len(world.walls.theta)} walls comes into view, with laser.max_range "
+            f"route: {_none_of(len(world.walls.theta), 'wall')} into view, with laser.max_range "
             f"{laser.max_range:g} m; expected a route past walls"
         )
     moved = increments(path, laser.every)

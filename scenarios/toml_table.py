@@ -66,7 +66,7 @@ class Table:
 
     def numbers(self, key: str, size: int, default: tuple[float, ...] = _NO_DEFAULT) -> tuple[float, ...]:
         """A list of so many numbers."""
-        row = self._get(key, default, f"a list of {size} numbers", list)
+        row = self._get(key, default, f"a list of {_numbers(size)}", list)
         return row if row is default else self._row(self.path(key), row, size)
 
     def points(self, key: str) -> tuple[tuple[float, float], ...]:
@@ -116,8 +116,12 @@ class Table:
         numbers = isinstance(row, list) and all(isinstance(c, int | float) and not isinstance(c, bool) for c in row)
         if not numbers or len(row) != size:
             names = f", {what}" if what else ""
-            raise SourceError(f"{path} is {_shown(row)}; expected {size} numbers{names}")
+            raise SourceError(f"{path} is {_shown(row)}; expected {_numbers(size)}{names}")
         return tuple(_as_float(path, c) for c in row)
+
+
+def _numbers(size: int) -> str:
+    return f"{size} number{'s' if size != 1 else ''}"
 
 
 def _as_float(path: str, value: int | float) -> float:

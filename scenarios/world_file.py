@@ -1,71 +1,4 @@
-"""World files: a scenario written as TOML, for worlds of one's own.
-
-    name = "my-yard"                    # optional: the file's name
-    title = "two trees and a shed"      # optional
-
-    [vehicle]                           # optional: a unicycle
-    kind = "ackermann"                  # or "unicycle"
-    wheelbase = 2.5                     # m; Ackermann only
-
-    [route]
-    speed = 0.8                         # m/s
-    waypoints = [[0, 0], [20, 0], [20, 10]]
-    tick = 0.1                          # s, optional: duration of a control tick
-    corner_radius = 1.0                 # m, optional: 0 turns on the spot
-    turn_rate_deg = 30                  # degrees/s on the spot, optional
-    start_turn_deg = 0                  # degrees turned before setting off, optional
-    wait = 0                            # s that the robot stands still before anything else, optional
-
-    [sensor]
-    max_range = 10.0                    # m; may be inf
-    field_of_view_deg = 180             # the whole opening, optional
-    every = 5                           # control ticks from observation to observation, optional
-
-    [noise]                             # standard deviations
-    speed = 0.1                         # m/s
-    turn_deg = 3.0                      # degrees/s; degrees of steering for an Ackermann vehicle
-    range = 0.02                        # m
-    bearing_deg = 0.5
-
-    [landmarks]
-    points = [[5, 3], [12, -3]]
-    tags = [7, 8]                       # optional: 0, 1, 2 ...
-
-    [landmarks.random]                  # instead of points
-    number = 50                         # or density = 0.03 (1/m^2)
-    spacing = 1.5                       # m, optional: least distance between two
-    seed = 0                            # optional
-    area = [-10, -10, 30, 20]           # x_min, y_min, x_max, y_max; optional: 10 m around the route
-
-    [defaults]                          # optional: fields of slam.types.Params, in their units
-    association = "known"
-    particles = 25
-
-A world of walls has, in place of the tables `sensor` and `landmarks`,
-
-    [laser]
-    max_range = 8.0                     # m; may be inf
-    beams = 181                         # optional, as all that follows
-    field_of_view_deg = 180             # the whole opening; 360 is all round
-    every = 5                           # control ticks from scan to scan
-    origin = [0.0, 0.0]                 # m, where it stands on the robot
-    heading_deg = 0                     # where it looks
-
-    [walls]
-    segments = [[0, 1, 20, 1], [20, 1, 20, -1]]     # [x0, y0, x1, y1] each
-
-    [movers]                            # optional: people, discs that hide walls and walk to and fro on straight lines
-    paths = [[2, -1, 12, 3]]            # [x0, y0, x1, y1] each
-    speeds = [1.2]                      # m/s
-    offsets = [0.0]                     # m walked at time zero
-    radii = [0.25]                      # m
-
-    [noise]
-    range = 0.01                        # m
-    odometry = 0.1                      # of an increment, as a fraction of the motion
-    missing = 0.0                       # share of the beams that return nothing, optional
-
-A world may have both landmarks and walls; it is the sensor that tells which are seen.
+"""World files: a scenario written as TOML, for worlds of one's own.  README.md has the tables and their keys.
 
 Angles may be given in radians, as `<name>_rad` in place of `<name>_deg`.
 """
@@ -163,7 +96,7 @@ def world_text(scenario: Scenario) -> str:
         "defaults": {f.name: scenario.defaults[f.name] for f in fields(Params) if f.name in scenario.defaults},
     }
     lines = [
-        "# Metres, seconds and degrees; what each key means: scenarios/world_file.py",
+        "# Metres, seconds and degrees; what each key means: scenarios/README.md",
         f"name = {_value(scenario.name)}",
         f"title = {_value(scenario.title)}",
     ]
@@ -322,6 +255,8 @@ def _walls(top: Table) -> World:
 
 def _movers(table: Table) -> Movers:
     paths = table.segments("paths")
+    if not paths:
+        raise SourceError("movers.paths is []; expected at least one [x0, y0, x1, y1], or no table [movers]")
     each = (table.numbers(name, len(paths)) for name in Movers._fields[1:])
     movers = Movers(np.array(paths, float).reshape(-1, 4), *(np.array(values, float) for values in each))
     table.end()

@@ -14,7 +14,7 @@ from app import session, values
 from app.errors import UsageError
 from app.options import FILTERS
 from app.study.jobs import run_all
-from app.study.output import TITLES, RunsOption, begin, empty_table, finish
+from app.study.output import TITLES, RunsOption, begin, empty_table, finish, unseen
 from app.study.statistics import Mean
 from app.study.walls import WallStudy, tuned
 from app.types import SessionInfo, SessionStep
@@ -45,6 +45,8 @@ class Outcome(NamedTuple):
     """Estimate minus truth."""
     variance_m2: tuple[float, float]
     """Of the mixture, within and between particles."""
+    observed: int
+    """Walls seen so far, in all steps."""
 
 
 class Spread(NamedTuple):
@@ -92,12 +94,14 @@ class CorridorSpread(WallStudy):
             spreads = [spreads_of([run[key][at] for run in found]) for at in range(len(self.distances))]
             tables.append(self._table(key, spreads, len(found)))
             results[key] = [
-                {"distance_m": distance, "along": _plain(along), "across": _plain(across)}
+                {"distance_m": distance, "along": saved_spread(along), "across": saved_spread(across)}
                 | {"runs": [run[key][at]._asdict() for run in found]}
                 for at, (distance, (along, across)) in enumerate(zip(self.distances, spreads, strict=True))
             ]
+        blind = unseen([run[self.filters[0]][-1].observed for run in found])
+        runs = (len(found), self.runs)
         return finish(
-            self, "corridor-spread", command, {"filters": results}, tables, (len(found), self.runs), stopped, NOTE
+            self, "corridor-spread", command, {"filters": results}, tables, runs, stopped, NOTE, warnings=blind
         )
 
     def _table(self, key: str, spreads: list[tuple[Spread, Spread]], runs: int) -> Table:
@@ -129,6 +133,7 @@ class DeviationWatch:
 
     def __init__(self, at: list[int]) -> None:
         self.at = set(at)
+        self.observed = 0
         self.found: dict[tuple[str, int], Outcome] = {}
         """By filter and number of steps."""
 
@@ -137,13 +142,14 @@ class DeviationWatch:
 
     def step(self, step: SessionStep) -> None:
         """Take what is asked for of this step."""
+        self.observed += len(step.frame.z)
         if step.index not in self.at or step.truth is None:
             return
         for key, update in step.filters.items():
             error = pose_error(update.measures.estimate, step.truth)
             variance = np.diag(update.measures.covariance)
             self.found[key, step.index] = Outcome(
-                (float(error[0]), float(error[1])), (float(variance[0]), float(variance[1]))
+                (float(error[0]), float(error[1])), (float(variance[0]), float(variance[1])), self.observed
             )
 
     def end(self) -> None:
@@ -152,7 +158,8 @@ class DeviationWatch:
 
 def spreads_of(outcomes: list[Outcome]) -> tuple[Spread, Spread]:
     """Along and across, over runs."""
-    errors, variances = (np.array(values) for values in zip(*outcomes, strict=True))  # (N, 2) each
+    errors = np.array([outcome.error_m for outcome in outcomes])  # (N, 2)
+    variances = np.array([outcome.variance_m2 for outcome in outcomes])
     return _spread(errors[:, 0], variances[:, 0]), _spread(errors[:, 1], variances[:, 1])
 
 
@@ -180,7 +187,8 @@ def _check_distances(study: CorridorSpread, source: Source) -> None:
         raise UsageError(f"--distances is {wrong:g}; expected at most {most:g} m, where {why}")
 
 
-def _plain(spread: Spread) -> dict[str, Any]:
+def saved_spread(spread: Spread) -> dict[str, Any]:
+    """What is written of it."""
     return {**spread._asdict(), "ratio": spread.ratio._asdict()}
 
 

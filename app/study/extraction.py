@@ -69,7 +69,7 @@ class ExtractionStudy:
         settings: dict[tuple[int, float], dict[str, Score]] = {}
         for task, scored in zip(tasks, found, strict=False):
             settings.setdefault((task.beams, task.range_noise), {})[task.world] = scored
-        tables, results = [], []
+        tables, results, warnings = [], [], []
         for (beams, sigma), scores in settings.items():
             table = empty_table(
                 f"{beams} beams, deviation {sigma:g} m, {self.poses} scans of each world",
@@ -83,7 +83,10 @@ class ExtractionStudy:
                 "variance, lateral",
                 "angle",
             )
-            rows = {name: _row(scored) for name, scored in {**scores, TOTAL: total(list(scores.values()))}.items()}
+            everything = total(list(scores.values()))
+            if not everything.segments:
+                warnings.append(f"no wall was ever seen with {beams} beams and a deviation of {sigma:g} m")
+            rows = {name: _row(scored) for name, scored in {**scores, TOTAL: everything}.items()}
             for name, row in rows.items():
                 table.add_row(name, *("-" if cell is None else str(cell) for cell in row.values()))
             results.append({"beams": beams, "range_noise_m": sigma, "worlds": {k: _plain(r) for k, r in rows.items()}})
@@ -93,7 +96,8 @@ class ExtractionStudy:
             f"or more than {OFF:g} deviations off\n{MEANS}"
         )
         runs = (len(found), len(tasks))
-        return finish(self, "extraction", command, {"lasers": results}, tables, runs, stopped, note, "worlds")
+        lasers = {"lasers": results}
+        return finish(self, "extraction", command, lasers, tables, runs, stopped, note, "worlds", warnings)
 
 
 def one_world(task: Task) -> Score:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,15 +49,18 @@ def finish(
     stopped: bool,
     note: str = MEANS,
     unit: str = "seeds",
+    warnings: Sequence[str] = (),
 ) -> int:
     """Show the tables and the command that made them, save what there is; returns the exit code.
 
-    runs: how many `unit` were done of how many.
+    runs: how many `unit` were done of how many.  `warnings`: what the tables alone would hide.
     """
     console = Console(highlight=False)
     for table in tables:
         print_whole(console, table)
         console.print()
+    for warning in warnings:
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
     done, asked = runs
     console.print(f"{note}; {done} of {asked} {unit}\n{command}", soft_wrap=True, markup=False)
     if study.out is not None:
@@ -68,6 +72,15 @@ def finish(
         kept = "shown" if study.out is None else "shown and saved"
         Console(stderr=True).print(f"interrupted after {done} of {asked} {unit}; these are {kept}", soft_wrap=True)
     return 130 if stopped else 0
+
+
+def unseen(observed: Sequence[int]) -> list[str]:
+    """A warning if some runs, which observed so many walls each, are nothing but dead reckoning."""
+    blind = sum(not walls for walls in observed)
+    if not blind:
+        return []
+    runs = f"{blind} of {len(observed)} runs" if blind < len(observed) else f"any of the runs ({blind})"
+    return [f"no wall was ever seen in {runs}: these are dead reckoning"]
 
 
 def empty_table(title: str, first: str, *columns: str) -> Table:

@@ -11,15 +11,14 @@ from rich.table import Table
 
 from app import session, values
 from app.options import FILTERS
-from app.study.corridor_spread import DeviationWatch, Outcome
+from app.study.corridor_spread import DeviationWatch, Outcome, saved_spread, spreads_of
 from app.study.jobs import run_all
-from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish
+from app.study.output import MEDIANS, TITLES, RunsOption, begin, empty_table, finish, unseen
 from app.study.statistics import spread
 from app.study.walls import WallStudy, settings, tuned
 from scenarios.registry import build
 from scenarios.types import Source
 from slam.limits import PARAMS
-from slam.metrics import rms
 from slam.types import Floats
 
 WORLD = "rotation-then-corridor"
@@ -69,24 +68,31 @@ class RotationSpread(WallStudy):
         cells = dict(zip(asked, others, strict=True)) if whole else {}
         tables = [self._table(reference, cells)] if cells else []
         results = {
-            "reference": {"particles": self.reference, "runs": [outcome._asdict() for outcome in reference]},
+            "reference": {"particles": self.reference, **_saved(reference)},
             "cells": [_result(*cell, outcomes, reference) for cell, outcomes in cells.items()],
         }
-        return finish(self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS)
+        blind = unseen([outcome.observed for outcome in reference])  # alike for all filters
+        return finish(
+            self, "rotation-spread", command, results, tables, (whole, self.runs), stopped, MEDIANS, warnings=blind
+        )
 
     def _table(self, reference: list[Outcome], cells: dict[tuple[str, int], list[Outcome]]) -> Table:
-        columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", "ratio", "rms error [m]")]
+        names = ("ratio", "rms [m]", "rms error [m]", "rms/error")
+        columns = [name for axis in ("along", "across") for name in (f"{axis} [m]", *names)]
         table = empty_table(f"end of {WORLD}, doors {self.doors}", "", "K", *columns)
         rows = [(f"{TITLES[REFERENCE]}, reference", self.reference, reference)]
         rows += [(TITLES[key], particles, outcomes) for (key, particles), outcomes in cells.items()]
         for name, particles, outcomes in rows:
             ratio, deviation = ratios(outcomes, reference), deviations(outcomes)
             row: list[str] = []
-            for axis in (0, 1):
-                true = rms(np.array([outcome.error_m[axis] for outcome in outcomes]))
-                row += [spread(list(deviation[:, axis])), spread(list(ratio[:, axis]), ".2f"), f"{true:.3g}"]
+            for axis, of in enumerate(spreads_of(outcomes)):
+                row += [spread(list(deviation[:, axis])), spread(list(ratio[:, axis]), ".2f")]
+                row += [f"{of.reported_m:.3g}", f"{of.true_m:.3g}", of.ratio.rounded(2)]
             table.add_row(name, str(particles), *row)
-        table.caption = "ratio: to the reference's on the same seed"
+        table.caption = (
+            "ratio: to the reference's deviation on the same seed; rms: of the deviations that the runs report, to be "
+            "compared with their rms error"
+        )
         table.caption_justify = "left"
         return table
 
@@ -120,8 +126,13 @@ def _result(key: str, particles: int, outcomes: list[Outcome], reference: list[O
         "particles": particles,
         "median_ratio": {"along": float(np.median(ratio[:, 0])), "across": float(np.median(ratio[:, 1]))},
         "ratios": ratio,
-        "runs": [outcome._asdict() for outcome in outcomes],
+        **_saved(outcomes),
     }
+
+
+def _saved(outcomes: list[Outcome]) -> dict[str, Any]:
+    along, across = (saved_spread(of) for of in spreads_of(outcomes)) if outcomes else (None, None)
+    return {"along": along, "across": across, "runs": [outcome._asdict() for outcome in outcomes]}
 
 
 @functools.lru_cache(maxsize=1)  # every run of a process drives the same way

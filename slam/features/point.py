@@ -6,14 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
-from slam._jit import inline
 from slam.geometry import wrap
 from slam.linalg import factor22, largest_eigenvalue22, times22
 from slam.types import Floats, ObservationNoise, Params
 
 
-@inline
+@register_jitable
 def _span(near: Any, far: Any, towards: Any, half: Any) -> Any:
     """The least and the largest r cos(angle) with near <= r <= far and |angle - towards| <= half."""
     a, b = math.cos(towards - half), math.cos(towards + half)

@@ -16,8 +16,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
-from slam._jit import inline
 from slam.geometry import wrap
 from slam.linalg import add22, dot3, largest_eigenvalue22, sandwich22, times33
 from slam.types import Floats, ObservationNoise, Params
@@ -36,21 +36,21 @@ SAME_END = 0.3
 """[m] within which an end that was seen is the end that the map has."""
 
 
-@inline
+@register_jitable  # plain Python to Python, as `wrap` is
 def _placed(s: Any, x: Any, y: Any) -> Any:
     """(x, y) of the robot's frame in the world."""
     c, q = math.cos(s[2]), math.sin(s[2])
     return s[0] + c * x - q * y, s[1] + q * x + c * y
 
 
-@inline
+@register_jitable
 def _offset_row(phi: Any, dx: Any, dy: Any) -> Any:
     """How the lateral offset from a wall along phi, of what is (dx, dy) from the robot, changes with the pose."""
     c, q = math.cos(phi), math.sin(phi)
     return -q, c, q * dy + c * dx
 
 
-@inline
+@register_jitable
 def _told(P: Any, R: Any) -> Any:
     """The share of an innovation of the angle by which the heading is corrected on it alone."""
     return P[2][2] / (P[2][2] + R[1][1]) if P[2][2] > 0.0 else 0.0

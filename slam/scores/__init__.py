@@ -32,7 +32,7 @@ class Scores(Protocol):
 
     @staticmethod
     def duplicates(theta: Floats, tags: Ints) -> float:
-        """How many features show again what an earlier one shows already; NaN if no tag is known."""
+        """How many features show again what earlier ones show already; NaN if no tag is known."""
         ...
 
     @staticmethod

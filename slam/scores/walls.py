@@ -19,7 +19,7 @@ from slam.scores.tags import known_pairs
 from slam.types import UNKNOWN_TAG, Bools, Floats, Ints
 
 COVERED = 0.5
-"""Share of a wall that another feature must cover to make it a duplicate."""
+"""Share of a wall that others must cover to make it a duplicate."""
 
 
 def map_errors(theta: Floats, tags: Ints, true_tags: Ints, true_theta: Floats) -> tuple[float, float]:
@@ -41,17 +41,21 @@ def map_errors(theta: Floats, tags: Ints, true_tags: Ints, true_theta: Floats) -
 
 
 def duplicates(theta: Floats, tags: Ints) -> float:
-    """How many features (n, 8) are covered, for at least half of their length, by an earlier one of the same known tag;
-    NaN if no tag is known."""
+    """How many features (n, 8) show again what earlier ones of the same known tag show; NaN if no tag is known.
+
+    Such a one has at least half of the shorter of the two in common with one of them, or at least half of itself with
+    all of them together.
+    """
     if len(tags) > 0 and (tags == UNKNOWN_TAG).all():
         return math.nan
-    return float(_covered(theta, tags, np.argsort(tags, kind="stable")))
+    return float(_covered(theta, tags, np.argsort(tags, kind="stable"), np.empty((len(tags), 2))))
 
 
 def held(feature: Any, theta: Floats, map_tags: Ints, s: Floats, z: Floats, tags: Ints) -> Bools:
     """(Z,) whether a feature (n, 8) of the tag lies where the piece z (Z, 11) is, or ends less than the slack away.
 
-    The first sight of another part of a long wall is something new.
+    The first sight of another part of a long wall is something new.  How far to the side the feature lies is no matter:
+    who is lost, and does not know a wall again that his map has metres away, has missed it.
     """
     found = np.zeros(len(tags), np.bool_)
     _held(theta, map_tags, compose(s, z[:, :3]), z, tags, float(feature.slack), found)
@@ -71,20 +75,47 @@ def _reach(theta: Any, place: Any, a: Any, b: Any) -> Any:
 
 
 @kernel
-def _covered(theta: Any, tags: Any, order: Any) -> Any:
-    """How many are covered by an earlier one; `order` (n,) brings equal tags together, earlier features first."""
+def _covered(theta: Any, tags: Any, order: Any, reaches: Any) -> Any:
+    """`order` (n,) brings equal tags together, earlier features first; `reaches` (n, 2) is work space."""
     count = 0
     for j in range(len(order)):
-        wall = theta[order[j]]
+        wall, M = theta[order[j]], 0
+        length, found = wall[4] - wall[3], False
         for i in range(j - 1, -1, -1):
             other = theta[order[i]]
             if tags[order[i]] != tags[order[j]] or tags[order[j]] == UNKNOWN_TAG:
                 break
-            low, high = _reach(other, wall, wall[3], wall[4])
-            if min(high, other[4]) - max(low, other[3]) >= COVERED * (wall[4] - wall[3]):
-                count += 1
+            low, high = _reach(wall, other, other[3], other[4])
+            reaches[M, 0], reaches[M, 1] = max(low, wall[3]), min(high, wall[4])
+            if reaches[M, 1] - reaches[M, 0] >= COVERED * min(length, other[4] - other[3]):
+                found = True
                 break
+            M += 1
+        if found or (M > 1 and _union(reaches, M, wall[3]) >= COVERED * length):
+            count += 1
     return count
+
+
+@inline
+def _union(reaches: Any, M: Any, start: Any) -> Any:
+    """[m] that the first M intervals (low, high) cover together; those with low > high are empty, none is before
+    `start`."""
+    covered, at = 0.0, start
+    while True:
+        first, to = math.inf, at
+        for i in range(M):
+            low, high = reaches[i, 0], reaches[i, 1]
+            if low <= at:
+                to = max(to, high)
+            elif low <= high:
+                first = min(first, low)
+        if to > at:
+            covered += to - at
+            at = to
+        elif first < math.inf:
+            at = first
+        else:
+            return covered
 
 
 @kernel

@@ -9,6 +9,7 @@ import json
 import math
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -16,13 +17,15 @@ import pytest
 
 from app import cli
 from app import command as command_line
-from app.options import BelievedNoise, FilterOptions, Outputs, WorldNoise, parameters
+from app.options import FILTERS, BelievedNoise, FilterOptions, Outputs, WorldNoise, parameters
+from app.report import COMPILING
 from app.run import Run
 from app.sources import all_world_options
 from app.summary import without_timings
 from scenarios.registry import build, worlds
 from slam.types import Params
 
+ROOT = Path(__file__).parent.parent.parent
 RUN = ["run", "paper-line", "--steps", "3", "--particles", "5"]
 
 
@@ -486,3 +489,11 @@ def test_a_run_that_sees_nothing_says_so(capsys, blind):
     assert "no wall was seen in any of these steps" in capsys.readouterr().out
     assert cli.entry(line) == 0
     assert "no wall was seen" not in capsys.readouterr().out
+
+
+def test_what_was_compiled_once_is_not_compiled_again():
+    """Plain Python calls the functions of features too, and nothing that it compiles is kept on disk."""
+    run = [sys.executable, "-c", "import sys; from app.cli import entry; sys.exit(entry())", "run", "loop"]
+    line = [*run, "--filters", *FILTERS, "--orthogonal", "--steps", "12", "--particles", "3"]
+    told = [subprocess.run(line, capture_output=True, text=True, check=True, cwd=ROOT).stderr for _ in range(2)]
+    assert COMPILING not in told[1]

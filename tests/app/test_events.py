@@ -13,14 +13,14 @@ import pytest
 
 from app import session
 from app.events import Watch
-from app.loops import Loops
+from app.loops import Loops, right_matches
 from app.recording import Recorder
 from app.recording.pipe import Pipe
 from app.recording.reading import Recording
 from app.types import best_descendant
 from scenarios.registry import build, landmark_options
 from slam.estimators import ESTIMATORS
-from slam.types import IGNORED, NEW, Particles, Trace
+from slam.types import IGNORED, NEW, UNKNOWN_TAG, Particles, Trace
 
 
 def told(world: str, key: str, walls: bool = False, **changes: object) -> list[tuple[int, str]]:
@@ -45,6 +45,36 @@ def test_a_loop_of_walls_is_told_to_close_when_it_does():
     assert min(closed) > 200
     assert any(step < 300 for step in closed)
     assert len(closed) < 10
+
+
+def test_a_wrong_match_closes_no_loop():
+    """The same session; but of everything that is seen it is told that it is something else."""
+    source = build("loop")
+    info = session.make_info(source, [ESTIMATORS["ekf"]], seed=1, count=300)
+    told = {0: [], 1000: []}
+    watches = {shift: Watch({"ekf": "EKF-SLAM"}) for shift in told}
+    for step in session.steps(info):
+        for shift, watch in watches.items():
+            frame = step.frame._replace(tags=step.frame.tags + shift)
+            told[shift] += [event.kind for event in watch.step(dataclasses.replace(step, frame=frame))]
+    assert "loop closed" in told[0]
+    assert "loop closed" not in told[1000]
+
+
+@pytest.mark.parametrize(
+    ("seen", "of_map", "right"),
+    [
+        ([7, 8, 9], [1, 8, 7], [True, False]),
+        ([7, 8, UNKNOWN_TAG], [UNKNOWN_TAG, 8, 7], [True, False]),  # what nobody knows, taken for the same
+        ([UNKNOWN_TAG] * 3, [UNKNOWN_TAG] * 3, [True, True]),  # a log: nobody knows
+        ([UNKNOWN_TAG] * 3, [9, UNKNOWN_TAG, UNKNOWN_TAG], [False, False]),
+    ],
+)
+def test_which_matches_are_right(seen: list[int], of_map: list[int], right: list[bool]):
+    """The first is taken for feature 2, the second is new, the third is taken for feature 0."""
+    maps = SimpleNamespace(features=lambda k: (None, None, np.array(of_map)))
+    trace = SimpleNamespace(n=np.array([[IGNORED] * 3, [2, NEW, 0]]), weighted=SimpleNamespace(maps=maps))
+    assert right_matches(trace, np.array(seen), 1).tolist() == right  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("world", "walls"), [("paper-line", False), ("corridor", True)])
@@ -92,6 +122,33 @@ def test_what_lasts_is_told_once():
     lost = [step for step, text in told("loop", "fs1", particles=3, inflate_r=1.0) if "lost association" in text]
     assert lost
     assert min(np.diff(lost), default=99) > 1
+
+
+def sights(times: list[float], seen: list[int]) -> list[tuple[float, str, str, str, str]]:
+    """Time and event, of a session without filters in which so many things are seen at these times."""
+    watch, told = Watch({}), []
+    for time, before, count in zip(times, [0.0, *times], seen, strict=False):
+        frame = SimpleNamespace(time=time, dt=np.array([time - before]), z=np.zeros((count, 2)))
+        step = SimpleNamespace(frame=frame, changes=(), filters={}, odometry=np.zeros(3))
+        told += [(time, *event) for event in watch.step(step)]  # type: ignore[arg-type]
+    return told
+
+
+def test_it_is_told_once_that_nothing_is_seen_and_when_that_ends():
+    times = [0.5 * i for i in range(1, 401)]
+    seen = [0 if 20 < time <= 100 or 120 < time <= 149 else 3 for time in times]
+    nothing, again = sights(times, seen)
+    assert nothing == (50.0, "WARN", "Nothing has been seen since 20.0 s, for 30 s", "", "nothing seen")
+    assert again == (100.5, "INFO", "Something is seen again, after 80.5 s", "", "seen again")
+    ((time, _, text, *_),) = sights(times, [0] * 400)
+    assert (time, text) == (30.0, "Nothing has been seen since 0.0 s, for 30 s")
+
+
+def test_where_one_looks_but_rarely_it_is_not_told():
+    """Ten or forty seconds from one look to the next, and every other one sees something."""
+    for apart in (10.0, 40.0):
+        assert not sights([apart * i for i in range(1, 41)], [3, 0] * 20)
+    assert sights([10.0 * i for i in range(1, 41)], [0] * 40)[0][0] == 50.0
 
 
 def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():

@@ -122,15 +122,19 @@ def test_extraction(capsys, tmp_path):
         assert 0.7 < everything[name]["value"] < 1.4
         assert everything[name]["error"] < 0.15
     assert coarse["worlds"]["all"]["found_percent"]["value"] < everything["found_percent"]["value"]
-    assert "4 of 4 worlds" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "4 of 4 worlds" in out
+    assert "no wall was ever seen" not in out
 
 
-def test_extraction_of_nothing(tmp_path):
-    """Too few beams for a wall: no share, rather than one of zero."""
+def test_extraction_of_nothing(capsys, tmp_path):
+    """Too few beams for a wall: no share, rather than one of zero, and a word on it."""
     line = "extraction --worlds loop --poses 3 --beams 5 --range-noise 0.01 --jobs 1"
     found = saved(tmp_path, *line.split())
     assert found["lasers"][0]["worlds"]["loop"]["found_percent"] is None
     assert found["lasers"][0]["worlds"]["loop"]["segments"] == 0
+    told = "warning: no wall was ever seen with 5 beams and a deviation of 0.01 m"
+    assert told in capsys.readouterr().out
 
 
 def _interrupting(task: int) -> int:

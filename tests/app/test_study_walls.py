@@ -13,6 +13,7 @@ from app import cli, session
 from app.study.corridor_spread import Outcome as Deviation
 from app.study.corridor_spread import spreads_of, steps_at
 from app.study.loop_closure import LAPS, _Watch, fewest_closing, second_pass
+from app.study.output import unseen
 from app.study.rotation_spread import ratios
 from scenarios.registry import build
 from slam.dual_fastslam import DUAL_FASTSLAM
@@ -42,10 +43,15 @@ def test_the_second_pass_is_from_the_start_to_the_first_corner(loop):
     assert np.linalg.norm(truth[half, :2] - [-start[0] - 0.86, 20.0]) < step
 
 
-def update_of(n, births, best=0, error=0.1, resized=(0, 1), selected=(0, 1), heading=0.0):
-    maps = SimpleNamespace(counts=np.array(births))
+def update_of(n, births, best=0, wrong=(), error=0.1, resized=(0, 1), selected=(0, 1), heading=0.0):
+    """A step in which every wall is taken for the feature that was born of it, but those in `wrong`."""
+    tags = np.array(n[best], np.int64)
+    tags[list(wrong)] += 100
+    maps = SimpleNamespace(counts=np.array(births), features=lambda k: (None, None, np.arange(births[k])))
     trace = SimpleNamespace(
         n=np.array(n),
+        frame_tags=tags,
+        weighted=SimpleNamespace(maps=maps),
         resampled=SimpleNamespace(maps=maps),
         resized=np.array(resized),
         selected=np.array(selected),
@@ -61,6 +67,7 @@ def watched(*updates):
         watch.step(
             SimpleNamespace(
                 index=index,
+                frame=SimpleNamespace(tags=update.trace.frame_tags, z=update.trace.frame_tags),
                 filters={"dfs": update},
                 truth=np.zeros(3),
                 odometry=np.array([3.0, 4.0, 2 * math.pi - 0.1]),
@@ -84,6 +91,13 @@ def test_old_walls_are_those_of_the_particles_own_ancestor():
     assert watched(first, crossed, other, other, first).share == 1.0
 
 
+def test_old_walls_are_those_that_were_seen():
+    first = update_of([[0, 1], [0, 1]], births=[3, 5])
+    passing = update_of([[0, 1, 2, 5], [0, 0, 0, 0]], births=[9, 9], wrong=[1])
+    found = watched(first, first, passing, passing)
+    assert (found.matches, found.share) == (8, 0.5)  # one of four is new, and one is another
+
+
 @pytest.mark.parametrize(
     ("errors", "closed"),
     [([0.1, 0.1], True), ([0.9, 0.4], True), ([0.1, 0.5], False), ([0.1, math.nan], False)],
@@ -96,7 +110,7 @@ def test_closed_needs_the_position_in_the_second_half_of_the_pass(errors, closed
 
 def test_a_pass_without_a_match_is_not_closed():
     first = update_of([[0, 1], [0, 1]], births=[3, 5])
-    blind = update_of([[], []], births=[9, 9])
+    blind = update_of(np.empty((2, 0), np.int64), births=[9, 9])
     found = watched(first, first, blind, blind)
     assert (found.closed, found.share, found.matches) == (False, 0.0, 0)
 
@@ -109,9 +123,10 @@ def test_the_fewest_particles_close_every_run():
 
 
 def test_loop_closure(capsys, tmp_path):
-    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 30 --doors rooms --jobs 1 --seed 3"
+    line = "loop-closure --runs 2 --filters dfs ekf --particles 2 30 --doors rooms --jobs 1 --seed 5"
     found = saved(tmp_path, *line.split())
     out = capsys.readouterr().out
+    assert "no wall was ever seen" not in out
     for text in ("loop, doors rooms", "error [m]", "Dual FastSLAM closes all with 30 particles", "2 of 2 seeds"):
         assert text in out
     assert f"dualslam study {line}" in out
@@ -137,7 +152,7 @@ def test_without_noise_dead_reckoning_is_right(tmp_path):
 
 def test_reported_and_true_deviations():
     # Reported: 1 and 3 m^2 along, 4 and 4 across; true: 2 and -2 along, 0 and 2 across.
-    along, across = spreads_of([Deviation((2.0, 0.0), (1.0, 4.0)), Deviation((-2.0, 2.0), (3.0, 4.0))])
+    along, across = spreads_of([Deviation((2.0, 0.0), (1.0, 4.0), 9), Deviation((-2.0, 2.0), (3.0, 4.0), 9)])
     assert (along.reported_m, along.true_m) == (pytest.approx(math.sqrt(2)), 2.0)
     assert along.ratio == (pytest.approx(math.sqrt(0.5)), pytest.approx(math.sqrt(0.5) / 2))
     assert (across.reported_m, across.true_m) == (2.0, pytest.approx(math.sqrt(2)))
@@ -197,8 +212,8 @@ def test_what_cannot_be_studied(arguments, complaint, capsys):
 
 
 def test_ratios_are_to_the_reference_on_the_same_seed():
-    reference = [Deviation((0, 0), (4.0, 16.0)), Deviation((0, 0), (1.0, 16.0))]
-    found = ratios([Deviation((0, 0), (4.0, 4.0)), Deviation((0, 0), (4.0, 64.0))], reference)
+    reference = [Deviation((0, 0), (4.0, 16.0), 9), Deviation((0, 0), (1.0, 16.0), 9)]
+    found = ratios([Deviation((0, 0), (4.0, 4.0), 9), Deviation((0, 0), (4.0, 64.0), 9)], reference)
     np.testing.assert_allclose(found, [[1.0, 0.5], [2.0, 2.0]])
 
 
@@ -220,3 +235,30 @@ def test_rotation_spread(capsys, tmp_path):
         assert cell["median_ratio"]["across"] == pytest.approx(np.median(np.array(cell["ratios"])[:, 1]))
     np.testing.assert_allclose(cells["dfs", 20]["ratios"], 1.0)  # the reference itself
     assert not np.allclose(cells["fs2", 20]["ratios"], 1.0)
+    # Beside the root of the mean square error that of the reported variances, not their median.
+    assert "rms/error" in out
+    for cell in (found["reference"], *cells.values()):
+        for axis, name in enumerate(("along", "across")):
+            errors, variances = (np.array([run[of][axis] for run in cell["runs"]]) for of in ("error_m", "variance_m2"))
+            assert cell[name]["reported_m"] == pytest.approx(math.sqrt(np.mean(variances)))
+            assert cell[name]["ratio"]["value"] == pytest.approx(math.sqrt(np.mean(variances) / np.mean(errors**2)))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "loop-closure --particles 1",
+        "rotation-spread --particles 1 --reference 5",
+        "corridor-spread --distances 4",
+    ],
+)
+def test_a_study_in_which_no_wall_is_seen_says_so(capsys, line):
+    blind = "--noise.missing 1"
+    assert cli.entry(["study", *f"{line} --runs 2 --filters dfs --jobs 1 {blind}".split()]) == 0
+    assert "warning: no wall was ever seen in any of the runs (2): these are dead reckoning" in capsys.readouterr().out
+
+
+def test_runs_in_which_no_wall_was_seen():
+    assert unseen([3, 9]) == []
+    assert unseen([]) == []
+    assert unseen([3, 0, 9]) == ["no wall was ever seen in 1 of 3 runs: these are dead reckoning"]

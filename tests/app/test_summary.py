@@ -247,3 +247,10 @@ def test_the_events_are_those_that_a_recording_tells():
     assert [event for event in events if event[1] == "fs1" and "resampled: N_eff" in event[2]]
     assert any("one founder left" in sentence for _, key, sentence in events if key == "fs1")
     assert {step for step, _, _ in events} <= set(range(1, 9))
+
+
+def test_that_nothing_is_seen_is_an_event_of_no_filter():
+    summary, source = Summary(), build("loop")
+    noise = dataclasses.replace(source.noise, missing=1.0)
+    session.run(session.make_info(source, [ESTIMATORS["ekf"]], noise=noise, count=62), [summary])
+    assert summary.as_dict()["events"] == [[60, "", "Nothing has been seen since 0.0 s, for 30 s"]]

@@ -1,6 +1,7 @@
 """World files: the same bits back, and an error that says where and what for everything else."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,15 @@ import pytest
 
 from scenarios.laser import Laser
 from scenarios.paper_line import LAYOUTS
+from scenarios.preview import world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.simulate import simulate
+from scenarios.toml_table import Table
 from scenarios.types import Source, SourceError
 from scenarios.world import World, world_of_points, world_of_walls
 from scenarios.world_file import read_scenario, read_world, world_text, write_world
 from slam.motion import Ackermann, Odometry
-from slam.types import Noise
+from slam.types import UNKNOWN_TAG, Noise
 
 GOOD = """\
 title = "two trees"
@@ -177,11 +180,29 @@ def test_a_robot_that_waits(tmp_path: Path) -> None:
     assert len(source.steps) == 7225
 
 
+def test_walls_are_counted_as_they_are_drawn(tmp_path: Path) -> None:
+    """One that is seen from both sides is two features of a map, but one wall."""
+    around = "waypoints = [[0, 0], [10, 0], [10, 4], [0, 4]]"
+    one = WALLS.replace("waypoints = [[0, 0], [10.0, 0]]", around).replace(
+        "[[-2, 1, 12, 1], [-2, -1, 12, -1.5]]", "[[2, 2, 6, 2]]"
+    )
+    source = read_world(write(tmp_path, one))
+    assert source.true_map is not None
+    assert len(source.true_map.tags) == 2
+    assert world_row(source).things == 1
+    assert world_row(read_world(write(tmp_path, WALLS))).things == 2
+    with pytest.raises(SourceError, match=r"route: the only wall never comes into view, with laser\.max_range 0\.5 m"):
+        read_world(write(tmp_path, one.replace("max_range = 8", "max_range = 0.5")))
+
+
 def test_walls_in_the_way_are_a_warning(tmp_path: Path) -> None:
     text = WALLS.replace("[-2, 1, 12, 1]", "[3, 1, 3, -1]")
     [warning] = read_world(write(tmp_path, text)).warnings
     assert "walls.segments[0], from (3, 1) to (3, -1), is in the way" in warning
 
+
+PEOPLE = "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1]\noffsets = [0]\nradii = [0.2]\n[walls]"
+contains = Table.__contains__
 
 BAD_WALLS = [
     ("segments = [[-2, 1, 12, 1], [-2, -1, 12, -1.5]]", "segments = []", 13, ["walls.segments: there are 0"]),
@@ -208,12 +229,18 @@ BAD_WALLS = [
     ("odometry = 0.1", "odometry = 0.1\nmissing = 2", 11, ["noise.missing is 2", "at most 1"]),
     ("odometry = 0.1", "odometry = -0.1", 10, ["noise.odometry is -0.1", "at least 0"]),
     ("speed = 0.8", "speed = 0.8\nwait = -1", 3, ["route.wait is -1", "at least 0"]),
-    ("[walls]", "[movers]\npaths = [[0, 0, 1, 1]]\n[walls]", 12, ["movers.speeds is missing"]),
+    (
+        "[walls]",
+        "[movers]\npaths = [[0, 0, 1, 1]]\n[walls]",
+        12,
+        ["movers.speeds is missing; expected a list of 1 number"],
+    ),
+    ("[walls]", "[movers]\npaths = []\n[walls]", 13, ["movers.paths is []", "or no table [movers]"]),
     (
         "[walls]",
         "[movers]\npaths = [[0, 0, 1, 1]]\nspeeds = [1, 2]\n[walls]",
         14,
-        ["movers.speeds is [1, 2]", "expected 1 numbers"],
+        ["movers.speeds is [1, 2]; expected 1 number"],
     ),
     (
         "[walls]",
@@ -340,7 +367,7 @@ BAD = [
     ("[[0, 0], [10.0, 0], [10, 8]]", "[[0, 0], [nan, 0]]", ["route.waypoints[1] is nan", "finite"]),
     ("[[5, 3], [12, 4.5]]", "[]", ["landmarks: there are 0"]),
     ("[[5, 3], [12, 4.5]]", "[[5, 1e300]]", ["landmark 1 is at (5, 1e+300)"]),
-    ("[[5, 3], [12, 4.5]]", "[[5, 300]]", ["none of the 1 landmarks", "max_range 10 m", "route past landmarks"]),
+    ("[[5, 3], [12, 4.5]]", "[[5, 300]]", ["the only landmark never comes", "max_range 10 m", "route past landmarks"]),
     ("4.5]]", "4.5]]\ntags = [3, 3]", ["landmarks.tags: 3 is there 2 times"]),
     ("4.5]]", "4.5]]\ntags = [3]", ["landmarks.tags: there are 1", "each of the 2"]),
     ("4.5]]", "4.5]]\ntags = [-1, 2]", ["landmarks.tags: -1 is negative"]),
@@ -445,3 +472,35 @@ def test_a_bad_value_has_its_line(tmp_path: Path, old: str, new: str, key: str) 
     with pytest.raises(SourceError) as caught:
         build(str(path))
     assert str(caught.value).startswith(f"{path}:{line}: ")
+
+
+GUIDE = (Path(__file__).parent.parent.parent / "scenarios" / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_the_guide_is_a_world(tmp_path: Path) -> None:
+    [example] = re.findall(r"```toml\n(.*?)```", GUIDE, flags=re.DOTALL)
+    source = read_world(write(tmp_path, example))
+    assert source.warnings == ()
+    assert source.title == "a corridor with a corner, and somebody in it"
+    row = world_row(source)
+    assert (row.things, row.what) == (4, "walls")
+    assert row.visible > 2
+    somebody = [f.frame.scan.walls for f in source.steps if f.frame.scan is not None and f.frame.scan.walls is not None]
+    assert source.steps[0].truth is not None
+    assert source.steps[3].truth.tolist() == [1.0, 0.0, 0.0]  # type: ignore[union-attr]
+    assert any((walls == UNKNOWN_TAG).any() for walls in somebody)
+
+
+def test_the_guide_has_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: set[str] = set()
+    monkeypatch.setattr(Table, "__contains__", lambda table, key: asked.add(table.path(key)) or contains(table, key))
+    read_scenario(write(tmp_path, WALLS.replace("[walls]", PEOPLE)))
+    random = "[landmarks.random]\nnumber = 3\narea = [0, 0, 9, 9]"
+    read_scenario(write(tmp_path, GOOD.replace("points = [[5, 3], [12, 4.5]]", random)))
+    car = GOOD.replace("speed = 0.8", "speed = 0.8\ncorner_radius = 3") + "[vehicle]\nkind = 'ackermann'\n"
+    read_scenario(write(tmp_path, car))
+    keys = {key.rpartition(".")[2] for key in asked if not key.startswith("defaults.") and not key.endswith("_rad")}
+    section = GUIDE[GUIDE.index("## The world file") : GUIDE.index("## Logs")]
+    named = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`\n]+`", section))))
+    assert keys <= named
+    assert len(keys) > 30

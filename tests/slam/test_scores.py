@@ -213,7 +213,9 @@ def test_a_shift_along_a_straight_corridor_is_no_error() -> None:
         (wall(-1.1, 0.0, 0.0), 0.0),
         (wall(2.0, 0.0, 0.0, -1.5, 1.5), 0.0),  # it continues
         (wall(4.0, 0.0, 0.0), 0.0),  # another piece of it
-        (wall(0.0, 0.0, 0.0, -5.0, 5.0), 0.0),  # far more of it
+        (wall(0.0, 0.0, 0.0, -5.0, 5.0), 1.0),  # far more of it, and all that was there already
+        (wall(6.1, 0.0, 0.0, -6.0, 6.0), 0.0),  # .9 of its 2 m
+        (wall(5.9, 0.0, 0.0, -6.0, 6.0), 1.0),
         (wall(0.0, 0.0, 0.0, 0.0, 0.0), 1.0),  # no length at all
         (wall(4.0, 0.0, 0.0, 0.0, 0.0), 0.0),
     ],
@@ -224,15 +226,21 @@ def test_which_part_of_a_wall_is_a_duplicate(second: Floats, count: float) -> No
         theta = np.stack([wall(0.0, 0.0, 0.0), second])
         theta[:, :3] = compose(frame, theta[:, :3])
         assert walls.duplicates(theta, np.array([5, 5])) == count
+        assert walls.duplicates(theta[::-1].copy(), np.array([5, 5])) == count  # whichever was there first
         assert walls.duplicates(theta, np.array([5, 6])) == 0.0
 
 
-def test_duplicates_are_counted_once_and_covered_by_one() -> None:
+def test_duplicates_are_counted_once_and_covered_by_all() -> None:
     piece = wall(0.0, 0.0, 0.0)
     assert walls.duplicates(np.stack([piece] * 4), np.array([5, 5, 5, 5])) == 3.0
-    # Two pieces that do not touch, and what lies across both: a third of it each.
-    apart = np.stack([wall(-2.0, 0.0, 0.0), wall(2.0, 0.0, 0.0), wall(0.0, 0.0, 0.0, -3.0, 3.0)])
-    assert walls.duplicates(apart, np.array([5, 5, 5])) == 0.0
+    # A piece between two longer ones, of which it has .9 m of 2 m each.
+    between = np.stack([wall(-4.1, 0.0, 0.0, -4.0, 4.0), wall(4.1, 0.0, 0.0, -4.0, 4.0), piece])
+    for order in ([0, 1, 2], [1, 0, 2]):
+        assert walls.duplicates(between[order], np.array([5, 5, 5])) == 1.0
+    assert walls.duplicates(between, np.array([5, 6, 5])) == 0.0
+    # Two that show the same .9 m of it are no more than one.
+    twice = np.stack([wall(-4.1, 0.0, 0.0, -4.0, 4.0), wall(-3.1, 0.0, 0.0, -3.0, 3.0), piece])
+    assert walls.duplicates(twice, np.array([5, 5, 5])) == 1.0  # the second of them
 
 
 def test_duplicates_against_a_second_implementation() -> None:
@@ -244,13 +252,16 @@ def test_duplicates_against_a_second_implementation() -> None:
         tags = rng.integers(-1, 8, 40)
         count = 0
         for j in range(40):
-            ends_j = ends(theta[j : j + 1])[0]
+            a, b = theta[j, 3:5]
+            fine = np.linspace(a, b, 20001)
+            near, covered = False, np.zeros(len(fine), np.bool_)
             for i in range(j):
-                t = [compose(invert(theta[i, :3]), np.append(end, 0.0))[0] for end in ends_j]
-                common = min(max(t), theta[i, 4]) - max(min(t), theta[i, 3])
-                if tags[i] == tags[j] != UNKNOWN_TAG and common >= 0.5 * (theta[j, 4] - theta[j, 3]):
-                    count += 1
-                    break
+                if tags[i] == tags[j] != UNKNOWN_TAG:
+                    t = [compose(invert(theta[j, :3]), np.append(end, 0.0))[0] for end in ends(theta[i : i + 1])[0]]
+                    common = min(max(t), b) - max(min(t), a)
+                    near |= common >= 0.5 * min(b - a, theta[i, 4] - theta[i, 3])
+                    covered |= (fine >= min(t)) & (fine <= max(t))
+            count += near or covered.mean() >= 0.5
         assert walls.duplicates(theta, tags) == count
 
 
@@ -270,6 +281,12 @@ def test_what_the_map_holds_of_a_wall() -> None:
         nothing = walls.held(feature, theta[:0], map_tags[:0], s, z, np.full(len(z), 5))
         np.testing.assert_array_equal(nothing, np.zeros(len(z), np.bool_))
         assert walls.held(feature, theta, map_tags, s, z[:0], np.empty(0, np.int64)).shape == (0,)
+
+
+def test_the_map_holds_a_wall_that_it_has_far_to_the_side() -> None:
+    """Who is lost, and makes a second one of it, has missed it."""
+    theta, z = wall(5.0, -7.0, 0.0, -3.0, 3.0), np.array([5.0, -1.0, 0.0, -1.0, 1.0, 1e-6, 1e-6, 0, 0, 20])
+    assert walls.held(WALL, theta[None], np.array([3]), ORIGIN, z[None], np.array([3])).all()
 
 
 def test_the_map_holds_what_it_just_made() -> None:
