@@ -7,7 +7,8 @@ a time, and read as the equations do.  One formula serves all filters: with (s, 
     V = G_s P G_s^T + G_theta Sigma G_theta^T + R
 
 where FastSLAM 1.0 has P = 0, and Dual FastSLAM has Sigma = 0.  Matched observations are applied one after the other, as
-observed; innovation and Jacobians are taken anew at the running mean, in every filter alike.
+observed; innovation and Jacobians are taken anew at the running mean, in every filter alike; only of walls do particles
+have other rows than EKF-SLAM (`slam.features.observable`).
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from slam._jit import inline, kernel
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
 from slam.features import compatible, measurement, region
-from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich22, sandwich23
+from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich23
 from slam.map_store import FAN, LEAF, Maps, leaf_of, search
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
 
