@@ -8,6 +8,7 @@ import sys
 import webbrowser
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Annotated, Literal, get_args
@@ -92,12 +93,12 @@ class Workbench:
         from app.panel.panel import Panel
         from app.panel.scene import TopView
         from app.recording.live import LiveHost, quiet
-        from app.recording.stream import check_path
+        from app.recording.stream import FileStream, check_path
         from app.sources import LogParts, load
         from scenarios.registry import worlds
 
         quiet()
-        from app.recording.session import SessionWriter, file_streams
+        from app.recording.session import SessionWriter
 
         self._out = out
         if options.record is not None:
@@ -109,7 +110,7 @@ class Workbench:
         host = None if options.viewer == "none" else LiveHost()
         if host is not None:
             stack.callback(host.close)
-            self._publisher = Publisher(SessionWriter(lambda number: host.open, live=True), "drop", VIEWER_STEPS)
+            self._publisher = Publisher(SessionWriter(host.open, live=True), "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
             if options.viewer == "web":
                 viewer = Viewer(host.files, host.origin, host.query)
@@ -118,7 +119,7 @@ class Workbench:
         self.records = Records(
             self.engine,
             options.record.parent if options.record else Path(),
-            lambda path: SessionWriter(file_streams(path)),
+            lambda path: SessionWriter(partial(FileStream, path)),
             check_path,
         )
         if options.record is not None:

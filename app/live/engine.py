@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import shlex
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -121,6 +122,8 @@ class Engine:
         self._listeners = list(listeners)
         self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="engine", daemon=True)
+        self.before_reset: Callable[[History], None] = lambda history: None
+        """Called in the thread of the session while it still is what it was."""
         self._closing = False
         self._begun = False
         self._playing = playing
@@ -190,6 +193,11 @@ class Engine:
     def reset(self, seed: int | None = None, source: Source | None = None) -> None:
         """Begin again: with the settings of the desk, or in another world with its own."""
         self._commands.put(lambda: self._reset(seed, source))
+
+    def replace(self, old: Listener, new: Listener) -> None:
+        """One listener for another, before a reset and from there: the old one's session is over."""
+        self._remove(old)
+        self._listeners.append(new)
 
     def call(self, what: Callable[[History], None]) -> None:
         """Between two steps, in the thread of the session."""
@@ -367,10 +375,12 @@ class Engine:
 
     def _reset(self, seed: int | None, source: Source | None) -> None:
         self._pause()
+        self.before_reset(self._history)
         info, settings = self._history.info, self.desk.read()
         if source is not None:
             settings = first_settings(source, settings.filters, source.params(), source.noise)
-            info = session.make_info(source, info.filters, command=info.command, seed=info.seed)
+            command = shlex.join(["dualslam", "live", source.name])
+            info = session.make_info(source, info.filters, command=command, seed=info.seed)
         if seed is not None:
             info = info._replace(seed=int(seed))
         info = info._replace(params=settings.params, noise=settings.noise)

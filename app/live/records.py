@@ -11,6 +11,7 @@ from time import monotonic
 from app.errors import UsageError, sentence
 from app.files import write_whole
 from app.live.engine import Engine, Listener
+from app.live.history import History
 from app.live.publisher import FILE_STEPS, Publisher
 from app.live.script import script_text
 
@@ -40,6 +41,7 @@ class Records:
         self._path: Path | None = None
         self._told = ""
         self._saved_at = 0.0
+        engine.before_reset = self._before_reset
 
     @property
     def running(self) -> bool:
@@ -99,26 +101,43 @@ class Records:
         return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
 
     def _save(self, path: Path) -> None:
-        def write(text: str) -> None:
-            try:
-                write_whole(path.with_suffix(".json"), text)
-            except OSError as error:
-                self._told = f"the script of the session cannot be saved: {sentence(error)}"
-
+        """Have the session write its script beside a recording, and wait until it has."""
         done = threading.Event()
 
-        def take(history: object) -> None:
-            write(script_text(history))  # type: ignore[arg-type]
+        def take(history: History) -> None:
+            self._write(path, history)
             done.set()
 
         self._engine.call(take)
         if self._engine.alive:
             done.wait(PATIENCE)
 
-    def _free(self, name: str) -> Path:
+    def _write(self, path: Path, history: History) -> None:
+        try:
+            write_whole(path.with_suffix(".json"), script_text(history))
+        except OSError as error:
+            self._told = f"the script of the session cannot be saved: {sentence(error)}"
+
+    def _before_reset(self, history: History) -> None:
+        """A file has one session: the next one goes into another.  In the thread of the session, so it must not wait
+        for `stop`, which waits for that."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
+            old, path = self._publisher, self._path
+            if old is None or path is None:
+                return
+            self._write(path, history)
+            self._path = self._free(path.stem, path.parent)
+            self._publisher = Publisher(self._make(self._path), "wait", FILE_STEPS)
+            self._engine.replace(old, self._publisher)
+        finally:
+            self._lock.release()
+
+    def _free(self, name: str, directory: Path | None = None) -> Path:
         """A path that is not taken, in the directory of this session."""
         for number in range(1, 1000):
-            path = self._directory / (f"{name}.rrd" if number == 1 else f"{name}-{number}.rrd")
+            path = (directory or self._directory) / (f"{name}.rrd" if number == 1 else f"{name}-{number}.rrd")
             if not path.exists() and not path.with_suffix(".json").exists():
                 return path
         raise UsageError(f"there are a thousand recordings called {name}; expected another name")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from time import monotonic
 
 from app.live.engine import Begun, Forked, Stepped
 from app.recording.blueprint import MAP_ASPECT, PAGE_ASPECT
-from app.recording.stream import FileStream, OpenStream
+from app.recording.stream import OpenStream
 from app.recording.writer import Detail, Writer
 from app.types import SessionInfo
 from slam.estimators import ESTIMATORS
@@ -26,27 +23,30 @@ TRUNK = "the first run"
 class SessionWriter:
     """A `Listener` that writes.  The branch that it sees first is the run itself; all others lie beside it."""
 
-    def __init__(self, open_stream: Callable[[int], OpenStream], live: bool = False) -> None:
-        """`open_stream` is asked for the stream of every session, by its number.
-
-        `live`, for viewers: numbers and events of every step, pictures `PICTURES` times a second.  A picture takes
-        longer than a step, and nobody sees more of them.
+    def __init__(self, open_stream: OpenStream, live: bool = False) -> None:
+        """`live`, for viewers: every session after a reset; of every step numbers and events, pictures `PICTURES` times
+        a second.  A picture takes longer than a step, and nobody sees more of them.
         """
         self._open = open_stream
         self._live = live
         self._aspect = PAGE_ASPECT if live else MAP_ASPECT
         self._pictured_at = -math.inf
+        self._over = False
+        """Whether nothing more is to be written: a file has one session."""
         self._writers: dict[str, Writer] = {}
         self._first: Writer | None = None
         self._info: SessionInfo | None = None
 
     def begun(self, begun: Begun) -> None:
-        """Another recording."""
+        """Another recording; for a file that has one already the end."""
         self.closed()
+        if self._over:
+            return
+        self._over = not self._live
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised as `RecordingLost`
         filters = tuple(ESTIMATORS[key] for key in begun.settings.filters)
         self._info = begun.info._replace(filters=filters, params=begun.settings.params, noise=begun.settings.noise)
-        self._first = Writer(self._info, self._open(begun.number), self._aspect)
+        self._first = Writer(self._info, self._open, self._aspect)
 
     def forked(self, forked: Forked) -> None:
         """A tree of its own."""
@@ -81,17 +81,3 @@ class SessionWriter:
         assert self._first is not None
         assert self._info is not None
         return self._first.fork(self._info, name)
-
-
-def file_streams(path: Path) -> Callable[[int], OpenStream]:
-    """FILE.rrd for the first session, FILE-2.rrd, FILE-3.rrd ... for those after a reset; none is overwritten."""
-    first: list[int] = []
-
-    def stream(number: int) -> OpenStream:
-        first.append(number)
-        if number == first[0]:
-            return partial(FileStream, path)
-        names = (path.with_name(f"{path.stem}-{i}.rrd") for i in range(number - first[0] + 1, 10_000))
-        return partial(FileStream, next(other for other in names if not other.exists()))
-
-    return stream

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -29,7 +30,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=240)
     arguments = parser.parse_args()
     quiet()
-    from app.recording.session import SessionWriter, file_streams
+    from app.recording.session import SessionWriter
+    from app.recording.stream import FileStream
 
     source = build("loop", features="landmarks", max_range=8.0)
     seen = np.mean([len(step.frame.z) for step in source.steps[: arguments.steps]])
@@ -45,9 +47,9 @@ def main() -> None:
         ):
             publishers = []
             if with_file:
-                publishers.append(Publisher(SessionWriter(file_streams(path)), "wait", FILE_STEPS))
+                publishers.append(Publisher(SessionWriter(partial(FileStream, path)), "wait", FILE_STEPS))
             if with_stream:
-                publishers.append(Publisher(SessionWriter(lambda _: host.open, live=True), "drop", VIEWER_STEPS))
+                publishers.append(Publisher(SessionWriter(host.open, live=True), "drop", VIEWER_STEPS))
             filters = [ESTIMATORS[key] for key in ("dfs", "fs2", "fs1")]
             info = session.make_info(source, filters, source.params(particles=arguments.particles), seed=1)
             engine = Engine(info, publishers)
