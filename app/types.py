@@ -31,6 +31,15 @@ def best_descendant(update: FilterUpdate) -> int:
     return int(np.argmax(trace.weighted.log_w[trace.selected]))
 
 
+def heaviest_descendant(before: FilterUpdate, after: FilterUpdate, particle: int) -> int | None:
+    """Of a particle in `Trace.weighted` of `before` the heaviest descendant in that of the next step; None if it died."""
+    if not 0 <= particle < len(before.trace.weighted.log_w):
+        return None
+    parents = before.trace.selected[after.trace.resized]
+    children = np.flatnonzero(parents == particle)
+    return int(children[np.argmax(after.trace.weighted.log_w[children])]) if len(children) else None
+
+
 @dataclass(frozen=True)
 class SessionStep:
     """One observing step, seen by all filters."""
@@ -50,6 +59,8 @@ class SessionStep:
     """By filter key, in the order they were asked for."""
     changes: tuple[str, ...] = ()
     """Sentences on parameters that changed at the top of this step."""
+    picked: tuple[str, int] | None = None
+    """A particle that somebody looks at: its filter, and its index in `Trace.weighted`."""
 
 
 class SessionInfo(NamedTuple):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from rich.console import Console
 
@@ -91,7 +91,6 @@ class Workbench:
         from app.live.records import Records
         from app.live.trend import Trend
         from app.panel.panel import Panel
-        from app.panel.scene import TopView
         from app.recording.live import LiveHost, quiet
         from app.recording.stream import FileStream, check_path
         from app.sources import LogParts, load
@@ -125,7 +124,7 @@ class Workbench:
         if options.record is not None:
             out.print(self.records.start_at(options.record), soft_wrap=True, markup=False)
         self.panel = Panel(
-            self.engine, trend, self.records, list(worlds()), lambda name: load(name, {}, LogParts()), view=TopView
+            self.engine, trend, self.records, list(worlds()), lambda name: load(name, {}, LogParts()), self._view
         )
         stack.callback(self.panel.close)
         self.page = Page(f"http://127.0.0.1:{self.panel.port}", viewer, options.port or 0)
@@ -133,6 +132,17 @@ class Workbench:
         if host is not None and options.viewer == "native":
             stack.callback(host.open_native().close)
         self.engine.start()
+
+    def _view(self, server: Any) -> Any:
+        """The top view, whose picks the session follows."""
+        from app.panel.scene import TopView
+
+        def picked(key: str, particle: int) -> None:
+            if view.pick is not None:
+                self.engine.pick(key, particle, view.pick.where.step)
+
+        view = TopView(server, picked, self.engine.unpick)
+        return view
 
     @property
     def url(self) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import queue
 import shlex
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from time import monotonic
 from typing import Any, NamedTuple, Protocol
 
@@ -15,11 +17,14 @@ from app.errors import sentence
 from app.events import Event
 from app.live.history import History, Taken
 from app.live.settings import Desk, Settings, described, first_settings
-from app.types import SessionInfo, SessionStep
+from app.types import SessionInfo, SessionStep, heaviest_descendant
 from scenarios.types import Source
 
 TOLD = 200
 """Events that the page can show."""
+
+RECENT = 32
+"""Steps within which somebody has clicked on what was shown."""
 
 RATE_OVER = 2.0
 """[s] over which the number of steps in a second is taken."""
@@ -136,6 +141,9 @@ class Engine:
         self._told: deque[tuple[int, str, Event]] = deque(maxlen=TOLD)
         self._times: deque[float] = deque(maxlen=512)
         self._taken: Taken | None = None
+        self._pick: tuple[str, int] | None = None
+        self._recent: deque[SessionStep] = deque(maxlen=RECENT)
+        """The last steps of the branch, for picks that come late."""
         self._number = 0
         self._history = History(info, settings)
         self._changed = 0
@@ -189,6 +197,14 @@ class Engine:
     def to_branch(self, name: str) -> None:
         """Stand at the end of another branch."""
         self._commands.put(lambda: self._to_branch(name))
+
+    def pick(self, key: str, particle: int, step: int) -> None:
+        """Look at a particle of `Trace.weighted` of a step, and at its descendants: the recording shows it."""
+        self._commands.put(lambda: self._set_pick(key, particle, step))
+
+    def unpick(self) -> None:
+        """Look at none."""
+        self._commands.put(lambda: self._set_pick("", -1, 0))
 
     def reset(self, seed: int | None = None, source: Source | None = None) -> None:
         """Begin again: with the settings of the desk, or in another world with its own."""
@@ -297,7 +313,10 @@ class Engine:
         if not history.newest and settings != history.branch.settings(history.done + 1):
             self._fork("")
         if history.newest:
-            self._taken = history.advance(settings)
+            taken = history.advance(settings)
+            self._follow(taken.step)
+            self._taken = taken._replace(step=dataclasses.replace(taken.step, picked=self._pick))
+            self._recent.append(self._taken.step)
             self._times.append(monotonic())
             stepped = Stepped(history.branch.name, self._taken.step, settings, self._taken.events)
             for listener in self._listeners:
@@ -307,12 +326,26 @@ class Engine:
             ]
         else:  # through what has been
             self._taken = history.go(history.done + 1)
+            self._stands()
         self._due = max(self._due - 1, 0)
         self._message = ""
         kinds = {event.kind for event in self._taken.events} if self._taken else set()
         if self._until & kinds:
             event = next(event for event in self._taken.events if event.kind in self._until)  # type: ignore[union-attr]
             self._halt(f"step {history.done}: {event.text}")
+
+    def _set_pick(self, key: str, particle: int, step: int) -> None:
+        """Of a step that may be a few steps ago by now."""
+        since = [recent for recent in self._recent if recent.index >= step]
+        self._pick = None
+        if key and since and since[0].index == step and key in since[0].filters:
+            self._pick = (key, particle)
+            for before, after in pairwise(since):
+                self._pick = _followed(self._pick, before, after)
+
+    def _follow(self, step: SessionStep) -> None:
+        if self._pick is not None and self._recent:
+            self._pick = _followed(self._pick, self._recent[-1], step)
 
     def _told_safely(self, listener: Listener, tell: Callable[[Listener], None]) -> None:
         """A listener that fails is told no more; the session goes on."""
@@ -357,6 +390,7 @@ class Engine:
         self._message = f"going to step {index} ..."
         self._publish()
         self._taken = self._history.go(int(index))
+        self._stands()
         self._message = ""
         self.desk.put(self._history.branch.settings(self._history.done + 1))
 
@@ -368,9 +402,17 @@ class Engine:
         for listener in list(self._listeners):
             self._told_safely(listener, lambda one: one.forked(forked))
 
+    def _stands(self) -> None:
+        """Elsewhere than a step later: the particles are others."""
+        self._pick = None
+        self._recent.clear()
+        if self._taken is not None:
+            self._recent.append(self._taken.step)
+
     def _to_branch(self, name: str) -> None:
         self._pause()
         self._taken = self._history.to_branch(name)
+        self._stands()
         self.desk.put(self._history.branch.settings(self._history.done + 1))
 
     def _reset(self, seed: int | None, source: Source | None) -> None:
@@ -387,6 +429,7 @@ class Engine:
         self.desk.put(settings)
         self._history = History(info, settings)
         self._taken, self._message = None, ""
+        self._stands()
         self._told.clear()
         self._times.clear()
         self._number += 1
@@ -435,6 +478,15 @@ class Engine:
             number=self._number,
             changed=self._changed,
         )
+
+
+def _followed(pick: tuple[str, int] | None, before: SessionStep, after: SessionStep) -> tuple[str, int] | None:
+    """The pick one step later; None if it died, or its filter is off."""
+    if pick is None or before.index + 1 != after.index or not {pick[0]} <= before.filters.keys() & after.filters.keys():
+        return None
+    key, particle = pick
+    found = heaviest_descendant(before.filters[key], after.filters[key], particle)
+    return None if found is None else (key, found)
 
 
 def named_after(at: int, before: Settings, after: Settings) -> str:

@@ -27,6 +27,7 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
             rr.Ellipsoids3D.from_fields(colors=(*rgb, 40), fill_mode="solid"),
         ],
         "maps": [scene.dots(colours.faded(rgb, 0.4), 1.2)],
+        "picked/map": [scene.dots((255, 255, 255), crowd * 2.0)],
         "associations": scene.look_of_associations(),
     }
 
@@ -65,6 +66,11 @@ def best_map(theta: Floats, Sigma: Floats, style: Style) -> dict[str, list[Any]]
     """Features theta (n, 2) [m] of one map, with their covariance (n, 2, 2)."""
     ellipses = scene.ellipses(theta, Sigma, style.z(scene.MAP_ELLIPSES))
     return {"map": [scene.points(theta, style.z(scene.MAP)), ellipses]}
+
+
+def picked_map(theta: Floats, style: Style) -> list[Any]:
+    """The map of a particle that somebody looks at."""
+    return [scene.points(theta, style.z(scene.MAP) + 0.5 * style.lift)]
 
 
 def all_maps(maps: Maps, shown: Limits, style: Style) -> rr.Points3D:

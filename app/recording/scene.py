@@ -73,6 +73,7 @@ def looks(style: Style) -> dict[str, list[Any]]:
         ],
         "ellipses": [rr.Ellipsoids3D.from_fields(colors=(*rgb, 14), fill_mode="solid")],
         "path": [strokes(rgb, 1.4 + 0.9 * rank)],
+        "picked": [dots((255, 255, 255), 5.0), strokes((255, 255, 255), 2.0)],
         "lineages": [strokes(None, 1.0)],
     }
 
@@ -160,6 +161,23 @@ def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips
 def path(poses: Floats, shown: Limits, style: Style) -> rr.LineStrips3D:
     """The path of the best particle (T, 3)."""
     return lines([thinned(poses, shown.vertices)], style.z(PATH))
+
+
+ROUND = np.stack([f(np.linspace(0.0, 2.0 * math.pi, 49)) for f in (np.cos, np.sin)], axis=1)
+"""(49, 2) of a circle, closed."""
+
+
+def outline(s: Floats, P: Floats) -> Floats:
+    """(49, 2) [m] the 2-sigma ellipse of a pose (3,) with covariance (3, 3), closed."""
+    half, direction = ellipse_axes(P[:2, :2])
+    c, q = math.cos(direction), math.sin(direction)
+    return s[:2] + (SIGMAS * half * ROUND) @ np.array([[c, q], [-q, c]])
+
+
+def picked(s: Floats, P: Floats, way: Floats, style: Style) -> list[Any]:
+    """A particle that somebody looks at: its pose, its ellipse, and its path (T, >= 2)."""
+    z = style.z(PARTICLES) + 0.5 * style.lift
+    return [points(s[None], z), lines([outline(s, P), way], z)]
 
 
 def robot(pose: Floats, z: float, length: float) -> tuple[rr.Points3D, rr.Arrows3D]:

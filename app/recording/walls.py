@@ -7,7 +7,6 @@ true pose, and the pieces of wall that were made of them where the best particle
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -48,6 +47,7 @@ def looks(style: Style, crowd: float) -> dict[str, list[Any]]:
         "map/ends": [scene.dots(rgb, crowd * (3.2 + 0.7 * rank))],
         "map/bands": [rr.Mesh3D.from_fields(albedo_factor=(*rgb, 24))],
         "maps": [scene.strokes(colours.faded(rgb, 0.58), 0.8)],
+        "picked/map": [scene.strokes((255, 255, 255), 1.0)],
         "segments": [scene.strokes(None, 3.6)],
         "associations": scene.look_of_associations(),
     }
@@ -96,15 +96,15 @@ def beside_particles(p: Particles, best: int, style: Style) -> list[Any]:
 
     In a corridor it is metres long and a millimetre wide: the area alone would not be seen.
     """
-    half, direction = ellipse_axes(p.P[best, :2, :2])
-    c, q = math.cos(direction), math.sin(direction)
-    rows = p.s[best, :2] + (scene.SIGMAS * half * ROUND) @ np.array([[c, q], [-q, c]])
+    half, _ = ellipse_axes(p.P[best, :2, :2])
+    rows = scene.outline(p.s[best], p.P[best])
     strips = arrow.strips(rows, [len(rows)], style.z(scene.ELLIPSES))
     return [rr.LineStrips3D.from_fields(strips=strips[: int(half[0] > 0.0)])]
 
 
-ROUND = np.stack([f(np.linspace(0.0, 2.0 * math.pi, 49)) for f in (np.cos, np.sin)], axis=1)
-"""(49, 2) of a circle, closed."""
+def picked_map(theta: Floats, style: Style) -> list[Any]:
+    """The map of a particle that somebody looks at."""
+    return [rr.LineStrips3D.from_fields(strips=arrow.segments(ends(theta), style.z(scene.MAP) + 0.5 * style.lift))]
 
 
 def best_map(theta: Floats, Sigma: Floats, style: Style) -> dict[str, list[Any]]:

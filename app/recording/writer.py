@@ -102,6 +102,8 @@ class Writer:
         extent = extent_of(info.source, info.steps)
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
+        self._picked = ""
+        """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
         self._labelled: dict[str, float] = {}
         known_of_it = known_of(info.source, info.steps)
@@ -188,6 +190,8 @@ class Writer:
             self._write_observations(key, update, step.frame)
             bars = charts.weight_bars(weighted, self._limits, colours.of_filter(key))
             self._stream.log(f"weights/{key}", bars)
+
+        self._write_picked(step)
 
         self._stream.set_time(stage + 2)
         for key, update in step.filters.items():
@@ -311,6 +315,22 @@ class Writer:
         drawn = scene.particles(particles, self._limits, best, self._unit[key], style)
         log(f"world/{key}/particles", *drawn, *self._features.beside_particles(particles, best, style))
         log(f"world/{key}/ellipses", scene.particle_ellipses(particles, self._limits, best, style))
+
+    def _write_picked(self, step: SessionStep) -> None:
+        """The particle that somebody looks at: pose, ellipse, path, and its own map; nothing when nobody does."""
+        key, k = step.picked or ("", 0)
+        if self._picked and self._picked != key:
+            self._stream.log(f"world/{self._picked}/picked", rr.Clear(recursive=True))
+            self._picked = ""
+        update = step.filters.get(key)
+        if update is None or not 0 <= k < len(update.trace.weighted.s):
+            return
+        self._picked, weighted, style = key, update.trace.weighted, self._styles[key]
+        living = np.flatnonzero(update.trace.selected == k)  # a particle that dies in this step leaves no path
+        way = update.genealogy.path(int(living[0])) if len(living) else weighted.s[[k, k]]
+        self._stream.log(f"world/{key}/picked", *scene.picked(weighted.s[k], weighted.P[k], way, style))
+        theta, _, _ = weighted.maps.features(k)
+        self._stream.log(f"world/{key}/picked/map", *self._features.picked_map(theta, style))
 
     def _write_observations(self, key: str, update: FilterUpdate, frame: Frame) -> None:
         """What the best particle sees, and what it takes it for."""

@@ -238,3 +238,30 @@ def test_where_nothing_can_be_written_nothing_is_begun(engine, tmp_path):
 )
 def test_a_name_from_anybody_stays_in_its_directory(typed, name):
     assert safe_name(typed) == name
+
+
+def test_a_particle_that_is_picked_stands_out_in_the_recording(engine, tmp_path):
+    records = records_of(engine, tmp_path)
+    engine.step(2)
+    at(engine, 2)
+    records.start("p")
+    engine.pick("dfs", 4, 2)
+    engine.step(3)
+    at(engine, 5)
+    update = engine.status.taken.step.filters["dfs"]
+    key, particle = engine.status.taken.step.picked
+    engine.unpick()
+    engine.step()
+    at(engine, 6)
+    assert engine.status.taken.step.picked is None
+    for nonsense in (("dfs", 99, 6), ("dfs", -1, 6), ("fs1", 0, 6), ("dfs", 0, 400), ("dfs", 0, -3)):
+        engine.pick(*nonsense)
+        engine.step()
+        engine.wait(lambda s: not s.playing and s.step >= 7, PATIENCE)
+    records.stop()
+    assert key == "dfs"
+    recording = Recording(tmp_path / "p.rrd")
+    rows = dict(recording.rows("/world/dfs/picked", "Points3D:positions", "step"))
+    np.testing.assert_allclose(rows[5][0][:2], update.trace.weighted.s[particle][:2], atol=1e-5)
+    assert {3, 4, 5} <= set(rows)
+    assert recording.rows("/world/dfs/picked/map", "Points3D:positions", "step")
