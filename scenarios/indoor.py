@@ -17,6 +17,9 @@ from slam.types import Noise
 
 Features = Literal["walls", "landmarks"]
 
+WALLS_ONLY = ("doors", "recess", "far_end", "lobby_walls", "beams")
+"""Options that say nothing of landmarks."""
+
 Laps = Annotated[float, Limits(above=0, most=1000)]
 Beams = Annotated[int, Limits(least=1, most=MAX_BEAMS)]
 Seed = Annotated[int, Limits(least=0, most=2**63)]

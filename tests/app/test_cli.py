@@ -86,6 +86,24 @@ BAD = [
         ["run", "rotation-then-corridor", "--turn-deg", "1e7"],
         [": --turn-deg is 10000000.0; expected a number at least -36000 and at most 36000 [degrees]"],
     ),
+    *(
+        (
+            ["run", world, "--features", "landmarks", *option],
+            [f"{option[0]} does not apply to {world} with", "for walls"],
+        )
+        for world, option in [
+            ("loop", ("--beams", "361")),
+            ("loop", ("--doors", "rooms")),
+            ("loop", ("--recess", "0.5")),
+            ("corridor", ("--far-end", "open")),
+            ("rotation-then-corridor", ("--lobby-walls", "none")),
+        ]
+    ),
+    (["worlds", "loop", "--doors", "closed", "--features", "landmarks"], ["--doors does not apply to loop with"]),
+    (["run", "loop", "--features", "landmarks", "--floor-lateral", "1"], ["--floor-lateral does not apply to loop"]),
+    (["run", "paper-line", "--floor-angle", "1"], ["--floor-angle does not apply to paper-line", "for walls"]),
+    (["run", "field", "--filters", "ekf", "--orthogonal"], ["--orthogonal does not apply to field", "for walls"]),
+    (["run", "loop", "--orthogonal"], ["--orthogonal does not apply to these filters", "expected ekf in --filters"]),
     (["run", "loop", "--noise.range", "-0.1"], ["--noise.range is -0.1", "between 0 and 1000000"]),
     (["run", "field", "--noise.bearing", "0"], ["--noise.bearing is 0", "expected --believed.bearing"]),
     (["run", "loop", "--noise.range", "0"], ["--noise.range is 0", "expected --believed.range"]),
@@ -214,7 +232,6 @@ def test_fixed_names():
 def test_options_reach_the_parameters():
     line = """run paper-line --particles 7 --association nearest --gate 0.9 --weighting joint --inflate-r 4 --temper 0.5
     --log-p-new -2 --resampler residual --resample-below 0.5 --noise.range 0.1 --noise.turn 2 --believed.bearing 0.5
-    --floor-lateral 0.01 --floor-angle 0.2 --orthogonal
     --proposal-weight drawn --gate-known 0.8 --gate-new 0.7 --vehicle ackermann --filters ekf dfs"""
     command, own = command_line.parse(line.split())
     assert own == {"--vehicle": "ackermann"}
@@ -233,13 +250,16 @@ def test_options_reach_the_parameters():
         proposal_weight="drawn",
         inflate_r=4.0,
         temper=0.5,
-        floor_lateral=0.01,
-        floor_angle=math.radians(0.2),
-        orthogonal=True,
         log_p_new=-2.0,
         resampler="residual",
         resample_below=0.5,
     )
+    line = "run loop --floor-lateral 0.01 --floor-angle 0.3 --orthogonal --filters ekf"
+    command, _ = command_line.parse(line.split())
+    source = build("loop")
+    _, params = parameters(source, command.filter, command.noise, command.believed)
+    floors = {"floor_lateral": 0.01, "floor_angle": math.radians(0.3)}
+    assert params == dataclasses.replace(source.params(), **floors, orthogonal=True)
 
 
 def test_what_is_not_given_is_the_worlds_own():
