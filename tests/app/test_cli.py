@@ -440,7 +440,16 @@ def test_exit_codes_are_kept(monkeypatch, code, expected):
     assert cli.entry(RUN) == expected
 
 
-def test_a_library_that_answers_an_interruption_with_an_error(monkeypatch):
+def test_an_interruption_before_anything_has_begun_is_told(capsys, monkeypatch):
+    def interrupted(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("app.run.load", interrupted)
+    assert cli.entry(RUN) == 130
+    assert capsys.readouterr() == ("", "interrupted\n")
+
+
+def test_a_library_that_answers_an_interruption_with_an_error(capsys, monkeypatch):
     def interrupted(*_):
         with contextlib.suppress(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
@@ -448,6 +457,7 @@ def test_a_library_that_answers_an_interruption_with_an_error(monkeypatch):
 
     monkeypatch.setattr("app.run.load", interrupted)
     assert cli.entry(RUN) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_a_summary_where_the_table_would_be(capsys):
