@@ -17,11 +17,17 @@ def entry(arguments: list[str] | None = None) -> int:
                 code = carry_out(sys.argv[1:] if arguments is None else arguments)
             except Exception:
                 if interrupts.received:  # a library made an error of the interruption
-                    return INTERRUPTED
+                    return _interrupted()
                 raise
-            return INTERRUPTED if interrupts.received else code
+            return _interrupted() if interrupts.received else code
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return _interrupted()
+
+
+def _interrupted() -> int:
+    """Of what had not come so far that it could say so itself."""
+    print("interrupted", file=sys.stderr)
+    return INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -190,6 +190,11 @@ def parameters(
     given.pop("preset", None)
     if not filters.orthogonal:  # a flag that is not there says nothing
         given.pop("orthogonal")
+    idle = next((name for name in ("floor_lateral", "floor_angle", "orthogonal") if name in given), None)
+    if idle is not None and isinstance(source.feature, Point):
+        raise UsageError(
+            f"--{idle.replace('_', '-')} does not apply to {source.name}: it is for walls, and landmarks are seen there"
+        )
     params = source.params(**{**preset, **given, "believed": belief})
     if params.association == "known" and not any(_told(step.frame) for step in source.steps):
         raise UsageError(

@@ -88,6 +88,10 @@ class Run(SessionOptions):
             raise UsageError(
                 "run needs a world or a log, such as: dualslam run loop (dualslam worlds lists the worlds)"
             )
+        if self.filter.orthogonal and "ekf" not in self.filters:
+            raise UsageError(
+                "--orthogonal does not apply to these filters: it is for EKF-SLAM; expected ekf in --filters"
+            )
         _check(self.output, self.source)
         return self._show(self.info(own, command))
 

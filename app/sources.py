@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from app.errors import UsageError, listed, suggestion
+from scenarios.indoor import WALLS_ONLY
 from scenarios.logs import part, read_log
 from scenarios.registry import WorldEntry, build, worlds
 from scenarios.types import Source, SourceError
@@ -139,6 +140,10 @@ def world_values(entry: WorldEntry, own: Mapping[str, str]) -> dict[str, Any]:
             owners = [e.name for e in worlds().values() if option in option_names(e)]
             raise UsageError(f"{option} does not apply to {entry.name}; it is an option of {listed(owners)}")
         found[fields[option]] = _value(option, text, hints[fields[option]])
+    if found.get("features") == "landmarks":
+        idle = next((option for option in own if fields[option] in WALLS_ONLY), None)
+        if idle is not None:
+            raise UsageError(f"{idle} does not apply to {entry.name} with --features landmarks: it is for walls")
     return found
 
 

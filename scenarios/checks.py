@@ -7,12 +7,21 @@ import difflib
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from scenarios.types import SourceError
 
 LARGEST = 1e6
 """A length, time or deviation beyond this is a slip of the keyboard: 1000 km, 12 days."""
+
+
+class Limits(NamedTuple):
+    """Of a field of options, as an annotation: `Annotated[float, Limits(above=0, most=1000)]`."""
+
+    above: float = -math.inf
+    least: float = -LARGEST
+    most: float = LARGEST
+    unit: str = ""
 
 
 @contextmanager
@@ -66,11 +75,14 @@ def check_angle(name: str, value: Any, *, above: float = -math.inf, least: float
 def check_options(options: Any) -> None:
     """Raise `SourceError` unless every field of a dataclass of options holds what its annotation says.
 
-    Numbers must not be absurd; `Literal` fields must hold one of their words.
+    Numbers must be within their `Limits`, and not absurd where there are none; `Literal` fields must hold one of their
+    words.
     """
-    hints = get_type_hints(type(options))
+    hints, annotated = get_type_hints(type(options)), get_type_hints(type(options), include_extras=True)
     for field in dataclasses.fields(options):
         value, hint = getattr(options, field.name), hints[field.name]
+        extras = getattr(annotated[field.name], "__metadata__", ())
+        limits = next((extra for extra in extras if isinstance(extra, Limits)), Limits())
         words = get_args(hint) if get_origin(hint) is Literal else ()
         kinds = get_args(hint) if not words and get_args(hint) else (hint,)
         if words and value not in words:
@@ -78,7 +90,7 @@ def check_options(options: Any) -> None:
         if value is None and type(None) in kinds:
             continue
         if int in kinds or float in kinds:
-            check_number(field.name, value, least=-LARGEST, whole=float not in kinds)
+            check_number(field.name, value, **limits._asdict(), whole=float not in kinds)
 
 
 def check_positive(options: Any, *names: str) -> None:

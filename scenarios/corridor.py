@@ -9,7 +9,7 @@ import numpy as np
 
 from scenarios.checks import check_positive
 from scenarios.floorplan import DoorKind, straight_corridor
-from scenarios.indoor import INDOOR_NOISE, LASER_NOISE, Features, check_doors, doors, laser, sensor
+from scenarios.indoor import INDOOR_NOISE, LASER_NOISE, Beams, Features, View, check_doors, doors, laser, sensor
 from scenarios.route import Route
 from scenarios.simulate import Scenario
 from scenarios.types import SourceError
@@ -44,9 +44,9 @@ class Corridor:
     """Walls only: without doors and end wall, nothing tells how far along the corridor the robot is."""
     speed: float = 0.8
     """[m/s]"""
-    beams: int = 181
+    beams: Beams = 181
     """Of the laser."""
-    view_deg: float | None = None
+    view_deg: View = None
     """[degrees] the whole opening of the sensor; by default 180, the frontal half circle."""
     max_range: float | None = None
     """[m] of the sensor; by default 8 for walls, 10 for landmarks."""

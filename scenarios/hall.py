@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
 
-from scenarios.checks import check_number, check_positive
+from scenarios.checks import Limits, check_positive
 from scenarios.floorplan import Place, outline
-from scenarios.indoor import LASER_NOISE, laser
+from scenarios.indoor import LASER_NOISE, Beams, Laps, Seed, View, laser
 from scenarios.movers import MAX_MOVERS, Movers
 from scenarios.route import Route, shorten
 from scenarios.simulate import Scenario
@@ -40,25 +41,25 @@ class Hall:
     """[m] of the hall, along y."""
     margin: float = 6.0
     """[m] from the route to the walls."""
-    laps: float = 1.3
+    laps: Laps = 1.3
     """How often the robot goes round."""
-    pillars: int = 10
+    pillars: Annotated[int, Limits(least=0, most=MOST_THINGS)] = 10
     """How many, square."""
     pillar: float = 0.6
     """[m] side of a pillar."""
-    booths: int = 6
+    booths: Annotated[int, Limits(least=0, most=MOST_THINGS)] = 6
     """How many: three walls around a square, open on one side."""
     booth: float = 3.0
     """[m] side of a booth."""
-    people: int = 12
+    people: Annotated[int, Limits(least=0, most=MAX_MOVERS)] = 12
     """How many walk to and fro on straight lines; they hide walls, and stand in nobody's way."""
-    layout_seed: int = 0
+    layout_seed: Seed = 0
     """Of all that stands and walks about; the noise has a seed of its own."""
     speed: float = 0.8
     """[m/s]"""
-    beams: int = 181
+    beams: Beams = 181
     """Of the laser."""
-    view_deg: float | None = None
+    view_deg: View = None
     """[degrees] the whole opening of the laser; by default 180, the frontal half circle."""
     max_range: float | None = None
     """[m] of the laser; by default 8."""
@@ -66,12 +67,7 @@ class Hall:
 
 def hall(options: Hall) -> Scenario:
     """The robot goes round in the hall, counter-clockwise; observed every 0.5 s."""
-    check_positive(options, "length", "depth", "margin", "laps", "pillar", "booth", "speed")
-    check_number("laps", options.laps, above=0, most=1000)
-    check_number("pillars", options.pillars, least=0, most=MOST_THINGS, whole=True)
-    check_number("booths", options.booths, least=0, most=MOST_THINGS, whole=True)
-    check_number("people", options.people, least=0, most=MAX_MOVERS, whole=True)
-    check_number("layout_seed", options.layout_seed, least=0, most=2**63, whole=True)
+    check_positive(options, "length", "depth", "margin", "pillar", "booth", "speed")
     if options.booth < 4 * PANEL:
         raise SourceError(f"booth is {options.booth:g}; expected at least {4 * PANEL:g} m")
     half, y0, y1 = 0.5 * options.length - options.margin, -options.margin, options.depth - options.margin

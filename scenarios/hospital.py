@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from scenarios.checks import check_number, check_positive
+from scenarios.checks import Limits, check_positive
 from scenarios.floorplan import Door, Place, Room, face, ring_corners
-from scenarios.indoor import LASER_NOISE, laser
+from scenarios.indoor import LASER_NOISE, Beams, Laps, Seed, View, laser
 from scenarios.route import Route, shorten
 from scenarios.simulate import Scenario
 from scenarios.types import SourceError
@@ -46,17 +46,17 @@ class Hospital:
     """[m] of the rooms outside the loop."""
     door_width: float = 1.2
     """[m]"""
-    laps: float = 1.3
+    laps: Laps = 1.3
     """How often the robot goes round."""
-    visits: int = 2
+    visits: Annotated[int, Limits(least=0)] = 2
     """How many rooms the robot enters in its first lap."""
-    layout_seed: int = 0
+    layout_seed: Seed = 0
     """Of the rooms' widths and the places of their doors; the noise has a seed of its own."""
     speed: float = 0.8
     """[m/s]"""
-    beams: int = 181
+    beams: Beams = 181
     """Of the laser."""
-    view_deg: float | None = None
+    view_deg: View = None
     """[degrees] the whole opening of the laser; by default 180, the frontal half circle."""
     max_range: float | None = None
     """[m] of the laser; by default 8."""
@@ -75,10 +75,7 @@ class Visit(NamedTuple):
 
 def hospital(options: Hospital) -> Scenario:
     """The robot turns on the spot; observed every 0.5 s."""
-    check_positive(options, "length", "depth", "width", "room_width", "room_depth", "door_width", "laps", "speed")
-    check_number("laps", options.laps, above=0, most=1000)
-    check_number("visits", options.visits, least=0, whole=True)
-    check_number("layout_seed", options.layout_seed, least=0, most=2**63, whole=True)
+    check_positive(options, "length", "depth", "width", "room_width", "room_depth", "door_width", "speed")
     least = max(LEAST_ROOM, options.door_width + 4 * THICKNESS)
     for name in ("room_width", "room_depth"):
         if getattr(options, name) < least:

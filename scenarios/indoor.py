@@ -7,15 +7,23 @@ of `inflate_r` is said there, with the reason.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from scenarios.checks import check_number
+from scenarios.checks import Limits, check_number
 from scenarios.floorplan import Doors
 from scenarios.laser import MAX_BEAMS, Laser
 from scenarios.sensors import BLIND, Sensor
 from slam.types import Noise
 
 Features = Literal["walls", "landmarks"]
+
+WALLS_ONLY = ("doors", "recess", "far_end", "lobby_walls", "beams")
+"""Options that say nothing of landmarks."""
+
+Laps = Annotated[float, Limits(above=0, most=1000)]
+Beams = Annotated[int, Limits(least=1, most=MAX_BEAMS)]
+Seed = Annotated[int, Limits(least=0, most=2**63)]
+View = Annotated[float | None, Limits(above=0, most=360, unit="degrees")]
 
 INDOOR_NOISE = Noise(speed=0.2, turn=math.radians(4.0), range=0.02, bearing=math.radians(0.3))
 """With control every 0.1 s: 0.6 m and 13 degrees after 100 s, so that odometry is metres off after a loop."""
@@ -43,7 +51,6 @@ def doors(options: Any) -> Doors:
 
 def laser(options: Any) -> Laser:
     """A scan every 0.5 s; `options` have `beams`, `view_deg` and `max_range`, the last two None for what is usual."""
-    check_number("beams", options.beams, least=1, most=MAX_BEAMS, whole=True)
     return Laser(
         beams=options.beams,
         field_of_view=_view(options.view_deg, 180.0),
@@ -58,8 +65,6 @@ def sensor(options: Any, max_range: float, view_deg: float = 180.0) -> Sensor:
 
 def _view(degrees: float | None, usual: float) -> float:
     """[rad]"""
-    if degrees is not None:
-        check_number("view_deg", degrees, "degrees", above=0, most=360)
     return math.radians(usual if degrees is None else degrees)
 
 

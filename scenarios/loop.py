@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from scenarios.checks import check_number, check_positive
 from scenarios.floorplan import DoorKind, ring_corridor
-from scenarios.indoor import LASER_NOISE, Features, check_doors, doors, laser, sensor
+from scenarios.indoor import LASER_NOISE, Beams, Features, Laps, View, check_doors, doors, laser, sensor
 from scenarios.route import Route, shorten
 from scenarios.simulate import Scenario
 from scenarios.types import SourceError
@@ -40,7 +40,7 @@ class Loop:
     start: float | None = None
     """[m] from the start to the first corner; by default 6 for walls, so that the wall ahead is in sight from where the
     robot is known to be, and half of the side for landmarks."""
-    laps: float = 1.3
+    laps: Laps = 1.3
     """How often the robot goes round; 1.3 is once and 30 m more."""
     doors: DoorKind = "closed"
     """Walls only: closed (set back in their frames), open with nothing behind, with rooms behind, or no doors."""
@@ -52,9 +52,9 @@ class Loop:
     """[m] that closed doors are set back; the thickness of the wall around open ones."""
     speed: float = 0.8
     """[m/s]"""
-    beams: int = 181
+    beams: Beams = 181
     """Of the laser."""
-    view_deg: float | None = None
+    view_deg: View = None
     """[degrees] the whole opening of the sensor: 360 sees all round, 180 the frontal half circle; by default 180 for
     walls, 360 for landmarks."""
     max_range: float | None = None
@@ -66,7 +66,6 @@ def loop(options: Loop) -> Scenario:
     """Walls, or a landmark at the hinge post of every door; observed every 0.5 s."""
     check_positive(options, "length", "depth", "width", "speed")
     check_doors(options)
-    check_number("laps", options.laps, above=0, most=1000)
     if min(options.length, options.depth) < max(options.width, 2 * CORNER_RADIUS) + options.door_width:
         raise SourceError(
             f"length and depth are {options.length:g} and {options.depth:g}; expected room for a corridor "

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from scenarios.checks import check_number, check_positive
+from scenarios.checks import Limits, check_number, check_positive
 from scenarios.floorplan import DoorKind, straight_corridor
-from scenarios.indoor import INDOOR_NOISE, LASER_NOISE, Features, check_doors, doors, laser, sensor
-from scenarios.route import Route
+from scenarios.indoor import INDOOR_NOISE, LASER_NOISE, Beams, Features, View, check_doors, doors, laser, sensor
+from scenarios.route import MOST_TURN, Route
 from scenarios.simulate import Scenario
 from scenarios.types import SourceError
 from scenarios.world import world_of_points, world_of_walls
@@ -31,9 +31,9 @@ class RotationThenCorridor:
 
     features: Features = "walls"
     """What is seen: walls by a laser, or landmarks, the hinge posts of the doors."""
-    turn_deg: float = 360.0
+    turn_deg: Annotated[float, Limits(least=-MOST_TURN, most=MOST_TURN, unit="degrees")] = 360.0
     """[degrees] turned on the spot before setting off, counter-clockwise."""
-    turn_rate_deg: float = 30.0
+    turn_rate_deg: Annotated[float, Limits(above=0, most=MOST_TURN, unit="degrees/s")] = 30.0
     """[degrees/s]"""
     lobby: float = 9.0
     """[m] from the start to the corridor and to the other three walls of the lobby: farther than the laser sees, and
@@ -56,9 +56,9 @@ class RotationThenCorridor:
     """Walls only: what the corridor ends in."""
     speed: float = 0.8
     """[m/s]"""
-    beams: int = 181
+    beams: Beams = 181
     """Of the laser."""
-    view_deg: float | None = None
+    view_deg: View = None
     """[degrees] the whole opening of the sensor; by default 180, the frontal half circle."""
     max_range: float | None = None
     """[m] of the sensor; by default 8 for walls, 10 for landmarks."""
@@ -66,7 +66,7 @@ class RotationThenCorridor:
 
 def rotation_then_corridor(options: RotationThenCorridor) -> Scenario:
     """The start is known; what is seen first is seen from a heading that the turn has made uncertain."""
-    check_positive(options, "turn_rate_deg", "length", "width", "speed")
+    check_positive(options, "length", "width", "speed")
     check_doors(options)
     check_number("lobby", options.lobby, "m", least=0)
     walls = options.features == "walls"

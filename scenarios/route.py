@@ -22,6 +22,8 @@ from slam.types import Floats
 
 MAX_TICKS = 2_000_000
 MAX_STEERING = math.radians(60.0)
+MOST_TURN = 36_000.0
+"""[degrees] on the spot, and in a second."""
 
 Waypoints = tuple[tuple[float, float], ...]
 
@@ -60,8 +62,8 @@ def check_route(route: Route) -> None:
     check_number("route.speed", route.speed, "m/s", above=0)
     check_number("route.tick", route.tick, "s", above=0)
     check_number("route.corner_radius", route.corner_radius, "m", least=0)
-    check_angle("route.turn_rate", route.turn_rate, above=0, most=36_000)
-    check_angle("route.start_turn", route.start_turn, least=-36_000, most=36_000)
+    check_angle("route.turn_rate", route.turn_rate, above=0, most=MOST_TURN)
+    check_angle("route.start_turn", route.start_turn, least=-MOST_TURN, most=MOST_TURN)
     check_number("route.wait", route.wait, "s", least=0)
     for i, (x, y) in enumerate(route.waypoints):
         if not (abs(x) <= LARGEST and abs(y) <= LARGEST):

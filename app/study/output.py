@@ -69,9 +69,14 @@ def finish(
         write_whole(study.out, dump(plain(saved)))
         console.print(f"saved: {study.out}", soft_wrap=True, markup=False)
     if stopped:
-        kept = "shown" if study.out is None else "shown and saved"
-        Console(stderr=True).print(f"interrupted after {done} of {asked} {unit}; these are {kept}", soft_wrap=True)
+        Console(stderr=True).print(_interrupted(done, asked, unit, saved=study.out is not None), soft_wrap=True)
     return 130 if stopped else 0
+
+
+def _interrupted(done: int, asked: int, unit: str, saved: bool) -> str:
+    if not done:
+        return f"interrupted before the first of {asked} {unit} was done"
+    return f"interrupted after {done} of {asked} {unit}; these are shown{' and saved' if saved else ''}"
 
 
 def unseen(observed: Sequence[int]) -> list[str]:

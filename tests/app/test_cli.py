@@ -78,6 +78,32 @@ BAD = [
     (["run", "hall", "--features", "walls"], ["--features does not apply to hall", "corridor, loop or rotation"]),
     (["run", "loop", "--doors", "shut"], ["--doors is 'shut'", "closed, open, rooms or none"]),
     (["run", "loop", "--beams", "0"], ["loop: --beams is 0", "at least 1"]),
+    (["run", "loop", "--beams", "1e7"], ["--beams is '1e7'", "a whole number"]),
+    (["run", "loop", "--beams", "10000000"], ["loop: --beams is 10000000; expected", "at least 1 and at most 100000"]),
+    (["run", "loop", "--laps", "1e7"], ["loop: --laps is 10000000.0; expected a number above 0 and at most 1000"]),
+    (["run", "hall", "--people", "10000000"], ["hall: --people is 10000000; expected", "at most 1000"]),
+    (
+        ["run", "rotation-then-corridor", "--turn-deg", "1e7"],
+        [": --turn-deg is 10000000.0; expected a number at least -36000 and at most 36000 [degrees]"],
+    ),
+    *(
+        (
+            ["run", world, "--features", "landmarks", *option],
+            [f"{option[0]} does not apply to {world} with", "for walls"],
+        )
+        for world, option in [
+            ("loop", ("--beams", "361")),
+            ("loop", ("--doors", "rooms")),
+            ("loop", ("--recess", "0.5")),
+            ("corridor", ("--far-end", "open")),
+            ("rotation-then-corridor", ("--lobby-walls", "none")),
+        ]
+    ),
+    (["worlds", "loop", "--doors", "closed", "--features", "landmarks"], ["--doors does not apply to loop with"]),
+    (["run", "loop", "--features", "landmarks", "--floor-lateral", "1"], ["--floor-lateral does not apply to loop"]),
+    (["run", "paper-line", "--floor-angle", "1"], ["--floor-angle does not apply to paper-line", "for walls"]),
+    (["run", "field", "--filters", "ekf", "--orthogonal"], ["--orthogonal does not apply to field", "for walls"]),
+    (["run", "loop", "--orthogonal"], ["--orthogonal does not apply to these filters", "expected ekf in --filters"]),
     (["run", "loop", "--noise.range", "-0.1"], ["--noise.range is -0.1", "between 0 and 1000000"]),
     (["run", "field", "--noise.bearing", "0"], ["--noise.bearing is 0", "expected --believed.bearing"]),
     (["run", "loop", "--noise.range", "0"], ["--noise.range is 0", "expected --believed.range"]),
@@ -206,7 +232,6 @@ def test_fixed_names():
 def test_options_reach_the_parameters():
     line = """run paper-line --particles 7 --association nearest --gate 0.9 --weighting joint --inflate-r 4 --temper 0.5
     --log-p-new -2 --resampler residual --resample-below 0.5 --noise.range 0.1 --noise.turn 2 --believed.bearing 0.5
-    --floor-lateral 0.01 --floor-angle 0.2 --orthogonal
     --proposal-weight drawn --gate-known 0.8 --gate-new 0.7 --vehicle ackermann --filters ekf dfs"""
     command, own = command_line.parse(line.split())
     assert own == {"--vehicle": "ackermann"}
@@ -225,13 +250,16 @@ def test_options_reach_the_parameters():
         proposal_weight="drawn",
         inflate_r=4.0,
         temper=0.5,
-        floor_lateral=0.01,
-        floor_angle=math.radians(0.2),
-        orthogonal=True,
         log_p_new=-2.0,
         resampler="residual",
         resample_below=0.5,
     )
+    line = "run loop --floor-lateral 0.01 --floor-angle 0.3 --orthogonal --filters ekf"
+    command, _ = command_line.parse(line.split())
+    source = build("loop")
+    _, params = parameters(source, command.filter, command.noise, command.believed)
+    floors = {"floor_lateral": 0.01, "floor_angle": math.radians(0.3)}
+    assert params == dataclasses.replace(source.params(), **floors, orthogonal=True)
 
 
 def test_what_is_not_given_is_the_worlds_own():
@@ -412,7 +440,16 @@ def test_exit_codes_are_kept(monkeypatch, code, expected):
     assert cli.entry(RUN) == expected
 
 
-def test_a_library_that_answers_an_interruption_with_an_error(monkeypatch):
+def test_an_interruption_before_anything_has_begun_is_told(capsys, monkeypatch):
+    def interrupted(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("app.run.load", interrupted)
+    assert cli.entry(RUN) == 130
+    assert capsys.readouterr() == ("", "interrupted\n")
+
+
+def test_a_library_that_answers_an_interruption_with_an_error(capsys, monkeypatch):
     def interrupted(*_):
         with contextlib.suppress(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
@@ -420,6 +457,7 @@ def test_a_library_that_answers_an_interruption_with_an_error(monkeypatch):
 
     monkeypatch.setattr("app.run.load", interrupted)
     assert cli.entry(RUN) == 130
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_a_summary_where_the_table_would_be(capsys):

@@ -82,6 +82,7 @@ def test_loading_and_compiling_are_interrupted_too(tmp_path, number, delay):
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert "saved" not in err
+    assert err.count("interrupted") == 1
 
 
 def test_a_reader_that_goes_away_is_no_failure():

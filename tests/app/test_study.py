@@ -147,6 +147,12 @@ def test_an_interruption_keeps_what_is_done():
     assert run_all(_interrupting, [0, 1, 2, 3], 1, "squares") == ([0, 1], True)
 
 
+def test_a_study_interrupted_in_its_first_run_says_so(capsys, monkeypatch):
+    monkeypatch.setattr("app.study.rotation_spread.one_run", lambda task: os.kill(os.getpid(), signal.SIGINT))
+    assert cli.entry(["study", "rotation-spread", "--runs", "20", "--jobs", "1"]) == 130
+    assert capsys.readouterr().err == "interrupted before the first of 20 seeds was done\n"
+
+
 def _slow(task: int) -> int:
     if task:
         threading.Event().wait(60)
