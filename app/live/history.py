@@ -21,15 +21,20 @@ from app.live.settings import Settings, described
 from app.session import State
 from app.types import SessionInfo, SessionStep
 from slam.estimators import ESTIMATORS
+from slam.types import Particles
 
 SNAPSHOTS = 96
 """Of a branch, at most."""
 
-SNAPSHOT_BYTES = 200e6
-"""Of all snapshots of a branch, about: with many particles there are fewer of them."""
+FEWEST = 8
+"""However large they are."""
 
-PARTICLE_BYTES = 400
-"""That a particle of one filter takes in a snapshot, with its share of the ancestry and the maps."""
+SNAPSHOT_BYTES = 120e6
+"""Of all snapshots of a branch, about: with many particles and large maps there are fewer of them."""
+
+PARTICLE_BYTES, FEATURE_BYTES = 200, 120
+"""That a particle takes in a snapshot, and a feature of its map that changes all the time: those of a Dual FastSLAM
+particle are frozen, and shared by all snapshots."""
 
 
 class Snapshot(NamedTuple):
@@ -55,8 +60,8 @@ class Snapshots:
         if not (first or index % self._stride == 0):
             return
         self._kept[index] = snapshot._replace(watch=copy.deepcopy(snapshot.watch))
-        particles = sum(len(_particles(state).s) for state, _ in snapshot.state.filters.values())
-        most = max(8, min(SNAPSHOTS, int(SNAPSHOT_BYTES / (PARTICLE_BYTES * max(particles, 1)))))
+        size = sum(_bytes(key, _particles(state)) for key, (state, _) in snapshot.state.filters.items())
+        most = max(FEWEST, min(SNAPSHOTS, int(SNAPSHOT_BYTES / max(size, 1.0))))
         begin = min(self._kept)
         while len(self._kept) > most:
             self._stride *= 2
@@ -71,7 +76,13 @@ class Snapshots:
         return None
 
 
-def _particles(state: Any) -> Any:
+def _bytes(key: str, particles: Particles) -> float:
+    """That a snapshot of a filter takes, about."""
+    own = 0 if key == "dfs" else int(particles.maps.counts.sum())
+    return PARTICLE_BYTES * len(particles.s) + FEATURE_BYTES * own
+
+
+def _particles(state: Any) -> Particles:
     return getattr(state, "particles", state)  # an `EkfState` has them inside
 
 
