@@ -32,7 +32,7 @@ def best_descendant(update: FilterUpdate) -> int:
 
 
 def heaviest_descendant(before: FilterUpdate, after: FilterUpdate, particle: int) -> int | None:
-    """Of a particle in `Trace.weighted` of `before` its heaviest descendant in that of the next step; None if it died."""
+    """Of a particle of `Trace.weighted` of `before` its heaviest descendant one step later; None if it died."""
     if not 0 <= particle < len(before.trace.weighted.log_w):
         return None
     parents = before.trace.selected[after.trace.resized]

@@ -75,7 +75,7 @@ class Live(SessionOptions):
                 _open_browser(workbench.url, out)
             out.print("Ctrl-C ends it", soft_wrap=True)
             with suppress(KeyboardInterrupt):
-                workbench.serve(interrupts)
+                workbench.serve(interrupts, began)
             with interrupts.shield():
                 workbench.end()
         return 0
@@ -149,10 +149,19 @@ class Workbench:
         """Of the page."""
         return self.page.url
 
-    def serve(self, interrupts: Interrupts) -> None:
-        """Until an interruption."""
+    def serve(self, interrupts: Interrupts, began: float) -> None:
+        """Until an interruption; `began` is when the command did."""
+        from app.live.engine import COMPILING
+
+        told, shown = False, self._publisher is None
         while True:
             interrupts.check()
+            if not told and self.engine.status.message == COMPILING:
+                told = True
+                self._out.print(COMPILING, soft_wrap=True)
+            if not shown and self._publisher is not None and self._publisher.published:
+                shown = True
+                self._out.print(f"the first step is shown after {monotonic() - began:.1f} s", soft_wrap=True)
             self.records.keep()
             sleep(LOOK_EVERY)
 

@@ -13,6 +13,7 @@ from time import monotonic
 from typing import Any, NamedTuple, Protocol
 
 from app import session
+from app.compiling import CompileClock
 from app.errors import sentence
 from app.events import Event
 from app.live.history import History, Taken
@@ -22,6 +23,8 @@ from scenarios.types import Source
 
 TOLD = 200
 """Events that the page can show."""
+
+COMPILING = "compiling the filters, for this and all later runs: half a minute or so ..."
 
 RECENT = 32
 """Steps within which somebody has clicked on what was shown."""
@@ -253,20 +256,27 @@ class Engine:
     # --- The thread -------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        self._begin()
-        while not self._closing:
-            self._obey()
-            if self._closing or not self._may_step():
-                continue
-            try:
-                self._make_step()
-            except Exception as error:  # such as numbers beyond what can be computed: the page must live on
-                self._halt(f"step {self._history.done + 1} failed: {sentence(error)}")
-            self._publish()
-        self._obey_all()
+        with CompileClock(self._compiling):
+            self._begin()
+            while not self._closing:
+                self._obey()
+                if self._closing or not self._may_step():
+                    continue
+                try:
+                    self._make_step()
+                except Exception as error:  # such as numbers beyond what can be computed: the page must live on
+                    self._halt(f"step {self._history.done + 1} failed: {sentence(error)}")
+                self._publish()
+            self._obey_all()
         for listener in list(self._listeners):
             self._told_safely(listener, lambda one: one.closed())
         self._publish()
+
+    def _compiling(self, now: bool) -> None:
+        """Some kernel of a filter is being compiled, which takes seconds, once."""
+        if threading.current_thread() is self._thread:
+            self._message = COMPILING if now else ""
+            self._publish()
 
     def _obey_all(self) -> None:
         """What was asked for before the end."""
