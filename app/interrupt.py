@@ -9,9 +9,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Ctrl-C, a polite request to end, and a terminal that was closed (unknown to Windows)."""
+
 
 class Interrupts:
-    """While entered, SIGINT and SIGTERM raise `KeyboardInterrupt`, inside `shield()` only at its end.
+    """While entered, `SIGNALS` raise `KeyboardInterrupt`, inside `shield()` only at its end.
 
     A second signal inside a shield does not wait: whoever presses Ctrl-C twice means it.
 
@@ -27,7 +30,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is not threading.main_thread():
             return self  # only the main thread may have handlers, and only it is interrupted
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             self._former[number] = signal.signal(number, self._receive)
         return self
 

@@ -16,8 +16,9 @@ from typing import Annotated, Any, Literal, get_args
 from rich.console import Console
 
 from app import values
-from app.errors import sentence
+from app.errors import UsageError, sentence
 from app.interrupt import Interrupts
+from app.live.settings import MOST
 from app.options import default
 from app.run import SessionOptions
 from app.types import SessionInfo
@@ -65,19 +66,24 @@ class Live(SessionOptions):
         out.print("starting ...")
         options = self if self.source else dataclasses.replace(self, source=USUAL)
         info = options.info(own, command if self.source else f"{command} {USUAL}")
+        if info.params.particles > MOST:
+            raise UsageError(f"--particles is {info.params.particles}; expected at most {MOST} on the page")
         for warning in info.source.warnings:
             out.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
         with Interrupts() as interrupts, ExitStack() as stack:
             with interrupts.shield():
                 workbench = Workbench(self, info, out, stack)
-            out.print(f"ready after {monotonic() - began:.1f} s: {workbench.url}", soft_wrap=True, markup=False)
-            if not self.no_browser:
-                _open_browser(workbench.url, out)
-            out.print("Ctrl-C ends it", soft_wrap=True)
-            with suppress(KeyboardInterrupt):
+            try:
+                out.print(f"ready after {monotonic() - began:.1f} s: {workbench.url}", soft_wrap=True, markup=False)
+                if not self.no_browser:
+                    _open_browser(workbench.url, out)
+                out.print("Ctrl-C ends it", soft_wrap=True)
                 workbench.serve(interrupts, began)
-            with interrupts.shield():
-                workbench.end()
+            except KeyboardInterrupt:
+                pass
+            finally:
+                with interrupts.shield():
+                    workbench.end()
         return 0
 
 
@@ -124,7 +130,13 @@ class Workbench:
         if options.record is not None:
             out.print(self.records.start_at(options.record), soft_wrap=True, markup=False)
         self.panel = Panel(
-            self.engine, trend, self.records, list(worlds()), lambda name: load(name, {}, LogParts()), self._view
+            self.engine,
+            trend,
+            self.records,
+            list(worlds()),
+            lambda name: load(name, {}, LogParts()),
+            self._view,
+            self._notes,
         )
         stack.callback(self.panel.close)
         self.page = Page(f"http://127.0.0.1:{self.panel.port}", viewer, options.port or 0)
@@ -132,6 +144,17 @@ class Workbench:
         if host is not None and options.viewer == "native":
             stack.callback(host.open_native().close)
         self.engine.start()
+
+    def _say(self, text: str) -> None:
+        """On a terminal that may have been closed."""
+        with suppress(OSError):
+            self._out.print(text, soft_wrap=True, markup=False)
+
+    def _notes(self) -> str:
+        """What became of the stream to viewers, where it is not as it should be."""
+        if self._publisher is not None and self._publisher.error:
+            return f"**the Rerun view shows nothing new: {self._publisher.error}**"
+        return ""
 
     def _view(self, server: Any) -> Any:
         """The top view, whose picks the session follows."""
@@ -167,9 +190,9 @@ class Workbench:
 
     def end(self) -> None:
         """Save everything, and say so."""
-        self._out.print("ending ...")
+        self._say("ending ...")
         if self.records.running:
-            self._out.print(self.records.stop(), soft_wrap=True, markup=False)
+            self._say(self.records.stop())
         self.engine.close(PATIENCE)
         if self._publisher is not None:
             self._publisher.join(PATIENCE)

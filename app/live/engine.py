@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import queue
 import shlex
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -117,6 +118,10 @@ class Status(NamedTuple):
 Command = Callable[[], None]
 
 
+class Abandoned(Exception):
+    """Something that took long was given up."""
+
+
 class Engine:
     """A session in a thread of its own.
 
@@ -132,7 +137,8 @@ class Engine:
         self._thread = threading.Thread(target=self._run, name="engine", daemon=True)
         self.before_reset: Callable[[History], None] = lambda history: None
         """Called in the thread of the session while it still is what it was."""
-        self._closing = False
+        self._closing = self._leaving = False
+        self._wanted: int | None = None
         self._begun = False
         self._playing = playing
         self._due = 0
@@ -149,6 +155,7 @@ class Engine:
         """The last steps of the branch, for picks that come late."""
         self._number = 0
         self._history = History(info, settings)
+        self._history.tell = self._tell
         self._changed = 0
         self._status = self._read_status()
         self._status_changed = threading.Condition()
@@ -186,12 +193,13 @@ class Engine:
         self._commands.put(lambda: self._speed(per_second))
 
     def go(self, index: int) -> None:
-        """Pause, and stand after `index` steps."""
-        self._commands.put(lambda: self._go(index))
+        """Pause, and stand after `index` steps; of several that wait only the last one counts."""
+        self._wanted = int(index)
+        self._commands.put(self._go_wanted)
 
     def go_newest(self) -> None:
         """Stand at the end of the branch again."""
-        self._commands.put(lambda: self._go(self._history.branch.done))
+        self.go(sys.maxsize)
 
     def fork(self, name: str = "") -> None:
         """From where it stands go on as a branch, with the settings of the desk; its name tells what is different."""
@@ -232,6 +240,7 @@ class Engine:
 
     def close(self, patience: float | None = None) -> None:
         """End the session and wait until everything is done."""
+        self._leaving = True
         self._commands.put(self._close)
         if self._thread.is_alive():
             self._thread.join(patience)
@@ -320,6 +329,7 @@ class Engine:
     def _make_step(self) -> None:
         self._next_at = max(self._next_at + self._period, monotonic() - self._period) if self._period else 0.0
         settings, history = self.desk.read(), self._history
+        self._message = ""
         if not history.newest and settings != history.branch.settings(history.done + 1):
             self._fork("")
         if history.newest:
@@ -338,7 +348,6 @@ class Engine:
             self._taken = history.go(history.done + 1)
             self._stands()
         self._due = max(self._due - 1, 0)
-        self._message = ""
         kinds = {event.kind for event in self._taken.events} if self._taken else set()
         if self._until & kinds:
             event = next(event for event in self._taken.events if event.kind in self._until)  # type: ignore[union-attr]
@@ -395,11 +404,16 @@ class Engine:
         self._period = 0.0 if per_second is None else 1.0 / min(max(float(per_second), 0.01), FASTEST)
         self._next_at = monotonic()
 
-    def _go(self, index: int) -> None:
+    def _go_wanted(self) -> None:
+        index, self._wanted = self._wanted, None
+        if index is None:
+            return
         self._pause()
-        self._message = f"going to step {index} ..."
-        self._publish()
-        self._taken = self._history.go(int(index))
+        self._tell(f"going to step {min(max(index, 0), self._history.branch.done)} ...")
+        try:
+            self._taken = self._history.go(index, self._hurry)
+        except Abandoned:
+            return
         self._stands()
         self._message = ""
         self.desk.put(self._history.branch.settings(self._history.done + 1))
@@ -411,6 +425,16 @@ class Engine:
         forked = Forked(made.name, parent, made.at, history.info, settings)
         for listener in list(self._listeners):
             self._told_safely(listener, lambda one: one.forked(forked))
+
+    def _tell(self, text: str) -> None:
+        """What takes long, before it does."""
+        self._message = text
+        self._publish()
+
+    def _hurry(self, index: int) -> None:
+        """Give up what takes long, if somebody wants something else by now."""
+        if self._wanted is not None or self._leaving:
+            raise Abandoned
 
     def _stands(self) -> None:
         """Elsewhere than a step later: the particles are others."""
@@ -438,6 +462,7 @@ class Engine:
         info = info._replace(params=settings.params, noise=settings.noise)
         self.desk.put(settings)
         self._history = History(info, settings)
+        self._history.tell = self._tell
         self._taken, self._message = None, ""
         self._stands()
         self._told.clear()

@@ -11,6 +11,7 @@ import copy
 import dataclasses
 import hashlib
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -30,9 +31,15 @@ FEWEST = 8
 """However large they are."""
 
 SNAPSHOT_BYTES = 120e6
-"""Of all snapshots of a branch, about: with many particles and large maps there are fewer of them."""
+"""Of all snapshots of all branches, about: with many particles and large maps there are fewer of them."""
 
-PARTICLE_BYTES, FEATURE_BYTES = 200, 120
+MOST_BRANCHES = 32
+"""Every one has a tree of its own in the recording."""
+
+PINNED = 8
+"""Snapshots at which filters were switched, that are kept: who is switched on catches up from there."""
+
+PARTICLE_BYTES, FEATURE_BYTES = 400, 120
 """That a particle takes in a snapshot, and a feature of its map that changes all the time: those of a Dual FastSLAM
 particle are frozen, and shared by all snapshots."""
 
@@ -50,22 +57,26 @@ class Snapshots:
     def __init__(self) -> None:
         self._stride = 1
         self._kept: dict[int, Snapshot] = {}
+        self._pinned: deque[int] = deque(maxlen=PINNED)
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def keep(self, snapshot: Snapshot, first: bool = False) -> None:
-        """Keep it if it is its turn; the first one always."""
+    def keep(self, snapshot: Snapshot, always: bool = False, share: float = 1.0) -> None:
+        """Keep it if it is its turn, or `always`; `share` is that of all memory for snapshots."""
         index = snapshot.state.done
-        if not (first or index % self._stride == 0):
+        if not (always or index % self._stride == 0):
             return
+        if always:
+            self._pinned.append(index)
         self._kept[index] = snapshot._replace(watch=copy.deepcopy(snapshot.watch))
         size = sum(_bytes(key, _particles(state)) for key, (state, _) in snapshot.state.filters.items())
-        most = max(FEWEST, min(SNAPSHOTS, int(SNAPSHOT_BYTES / max(size, 1.0))))
+        most = max(FEWEST, min(SNAPSHOTS, int(share * SNAPSHOT_BYTES / max(size, 1.0))))
         begin = min(self._kept)
-        while len(self._kept) > most:
+        while len(self._kept) > most + len(self._pinned):
             self._stride *= 2
-            self._kept = {i: kept for i, kept in self._kept.items() if i % self._stride == 0 or i == begin}
+            kept = {begin, *self._pinned}
+            self._kept = {i: one for i, one in self._kept.items() if i % self._stride == 0 or i in kept}
 
     def before(self, index: int, keys: Iterable[str]) -> Snapshot | None:
         """The latest, up to `index` steps, that has these filters."""
@@ -135,8 +146,12 @@ class History:
         self.info = info
         self.branches = [Branch("", None, 0, 0, [(1, settings)])]
         self.branch = self.branches[0]
+        self.tell: Callable[[str], None] = lambda text: None
+        """Told what takes long."""
         self._now = Snapshot(self._start(settings.filters), self._fresh_watch())
-        self.branch.snapshots.keep(self._now, first=True)
+        self._of = self.branch
+        """The branch that `_now` is of."""
+        self.branch.snapshots.keep(self._now, always=True)
 
     @property
     def done(self) -> int:
@@ -153,7 +168,8 @@ class History:
         if not self.newest:
             raise ValueError(f"step {self.done} of {self.branch.done}: only the end of a branch can grow")
         index, branch = self.done + 1, self.branch
-        before = branch.settings(max(self.done, 1))
+        origin = branch.parent if self.done == 0 and branch.parent else branch
+        before = origin.settings(max(self.done, 1))
         sentences = described(before, settings)
         if settings != branch.settings(index):
             if branch.changes[-1][0] == index:
@@ -161,35 +177,39 @@ class History:
             branch.changes.append((index, settings))
             if self.done == 0:  # nothing has happened yet: as if it had begun with these
                 self._now = self._now._replace(state=self._start(settings.filters))
-                branch.snapshots.keep(self._now, first=True)
+                branch.snapshots.keep(self._now, always=True)
         state = self._with_filters(self._now.state, settings.filters)
         state, step = self._step(state, settings)
         taken = self._take(state, dataclasses.replace(step, changes=sentences))
         branch.done = index
         branch.digest = digest_of(branch.digest, step, settings.filters)
-        branch.snapshots.keep(self._now)
+        branch.snapshots.keep(self._now, before.filters != settings.filters, 1.0 / len(self.branches))
         return taken
 
     def go(self, index: int, progress: Callable[[int], None] = lambda _: None) -> Taken | None:
-        """Stand after `index` steps of the branch, or of what it came from; the step there, None for the beginning."""
+        """Stand after `index` steps of the branch, or of what it came from; the step there, None for the beginning.
+
+        `progress` may raise: then the session stands where it did.
+        """
         index = min(max(index, 0), self.branch.done)
         if index == 0:
             keys = self.branch.settings(1).filters
-            self._now = Snapshot(self._start(keys), self._fresh_watch())
+            self._now, self._of = Snapshot(self._start(keys), self._fresh_watch()), self.branch
             return None
         keys = self.branch.settings(index).filters
-        if not (self.done == index - 1 and set(keys) <= set(self._now.state.filters)):
-            state = self._state(index - 1, keys, progress)
-            found = self.branch.snapshot(index - 1, ())
-            watch = copy.deepcopy(found.watch) if found and found.state.done == index - 1 else self._fresh_watch()
-            self._now = Snapshot(state, watch)
+        now = self._now
+        if not (self._of is self.branch and self.done == index - 1 and set(keys) <= set(now.state.filters)):
+            now = self._state(index - 1, keys, progress)
         settings = self.branch.settings(index)
-        state, step = self._step(self._with_filters(self._now.state, settings.filters), settings)
+        state, step = self._step(self._with_filters(now.state, settings.filters), settings)
+        self._now, self._of = now, self.branch
         sentences = described(self.branch.settings(index - 1), settings) if index > 1 else ()
         return self._take(state, dataclasses.replace(step, changes=sentences))
 
     def fork(self, name: str, settings: Settings) -> Branch:
-        """A branch that leaves where the session stands, and is where it goes on."""
+        """A branch that leaves where the session stands, and is where it goes on; ValueError if there are too many."""
+        if len(self.branches) >= MOST_BRANCHES:
+            raise ValueError(f"there are {MOST_BRANCHES} branches already; reset the session to begin again")
         names = {branch.name for branch in self.branches}
         unique, number = name, 2
         while unique in names:
@@ -200,7 +220,8 @@ class History:
         self.branch = made
         if self.done == 0:
             self._now = self._now._replace(state=self._start(settings.filters))
-        made.snapshots.keep(self._now, first=True)
+        self._of = made
+        made.snapshots.keep(self._now, always=True)
         return made
 
     def to_branch(self, name: str) -> Taken | None:
@@ -233,26 +254,30 @@ class History:
 
     def _with_filters(self, state: State, keys: tuple[str, ...]) -> State:
         """With these filters and no others; one that was off catches up, as if it had never been."""
-        missing = [key for key in keys if key not in state.filters]
         filters = {key: state.filters[key] for key in keys if key in state.filters}
-        for key in missing:
-            filters[key] = self._state(state.done, (key,)).filters[key]
-        return state._replace(filters=filters)
+        for key in keys:
+            if key not in filters:
+                self.tell(f"{ESTIMATORS[key].title} catches up with {state.done} steps ...")
+                filters[key] = self._state(state.done, (key,)).state.filters[key]
+        return state._replace(filters={key: filters[key] for key in keys})
 
-    def _state(self, index: int, keys: Iterable[str], progress: Callable[[int], None] = lambda _: None) -> State:
+    def _state(self, index: int, keys: Iterable[str], progress: Callable[[int], None] = lambda _: None) -> Snapshot:
         """After `index` steps of the branch, with these filters, as if they had always been on."""
         keys = tuple(keys)
         found = self.branch.snapshot(index, keys)
         if found is None and len(keys) > 1:  # never all of them at once
             parts = [self._state(index, (key,), progress) for key in keys]
-            return parts[0]._replace(filters={key: part.filters[key] for key, part in zip(keys, parts, strict=True)})
+            filters = {key: part.state.filters[key] for key, part in zip(keys, parts, strict=True)}
+            return parts[0]._replace(state=parts[0].state._replace(filters=filters))
         state = found.state if found else self._start(keys)
+        watch = copy.deepcopy(found.watch) if found else self._fresh_watch()
         state = state._replace(filters={key: state.filters[key] for key in keys})
         for i in range(state.done + 1, index + 1):
             settings = dataclasses.replace(self.branch.settings(i), filters=keys)
-            state, _ = self._step(state, settings)
+            state, step = self._step(state, settings)
+            watch.step(step)
             progress(i)
-        return state
+        return Snapshot(state, watch)
 
 
 def digest_of(before: str, step: SessionStep, keys: Iterable[str]) -> str:

@@ -29,7 +29,7 @@ class Publisher:
     """A `Listener` that hands everything on to another one, in a thread of its own."""
 
     def __init__(
-        self, to: Listener, full: Literal["drop", "wait"], steps: int, patience: float = DISK_PATIENCE
+        self, to: Listener, full: Literal["drop", "wait", "grow"], steps: int, patience: float = DISK_PATIENCE
     ) -> None:
         self._to = to
         self._full = full
@@ -66,6 +66,12 @@ class Publisher:
         """It is over."""
         self._put("closed", None)
 
+    def release(self) -> None:
+        """Nobody is to wait any more for what takes time, although the queue grows."""
+        with self._changed:
+            self._full = "grow"
+            self._changed.notify_all()
+
     def join(self, patience: float) -> bool:
         """Wait until everything is handed on; whether it is."""
         self._thread.join(patience)
@@ -89,10 +95,13 @@ class Publisher:
             self._changed.notify_all()
 
     def _make_room(self) -> None:
-        if self._steps < self._most:
+        if self._steps < self._most or self._full == "grow":
             return
         if self._full == "wait":
-            if not self._changed.wait_for(lambda: self._steps < self._most or self._over, self._patience):
+            room = self._changed.wait_for(
+                lambda: self._steps < self._most or self._over or self._full == "grow", self._patience
+            )
+            if not room:
                 self._give_up(f"nothing could be written for {self._patience:g} s")
             return
         oldest = next((i for i, (what, _) in enumerate(self._items) if what == "stepped"), None)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import queue
 import re
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 from app.errors import UsageError, sentence
 from app.files import write_whole
 from app.live.engine import Engine, Listener
 from app.live.history import History
 from app.live.publisher import FILE_STEPS, Publisher
-from app.live.script import script_text
+from app.live.script import script_of
+from app.summary import dump
 
 KEEP_EVERY = 5.0
 """[s] after which the script of a session is saved again, while it is recorded."""
@@ -58,6 +62,7 @@ class Records:
             if self._publisher is not None:
                 return f"{self._path} is being recorded already"
             self._check(path)
+            _check_replaceable(path.with_suffix(".json"))
             publisher = Publisher(self._make(path), "wait", FILE_STEPS)
             self._engine.add(publisher)
             self._publisher, self._path = publisher, path
@@ -70,6 +75,7 @@ class Records:
             publisher, path = self._publisher, self._path
             if publisher is None or path is None:
                 return "nothing is being recorded"
+            publisher.release()
             self._engine.remove(publisher)
             done = publisher.join(PATIENCE)
             self._publisher = None
@@ -101,20 +107,15 @@ class Records:
         return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
 
     def _save(self, path: Path) -> None:
-        """Have the session write its script beside a recording, and wait until it has."""
-        done = threading.Event()
+        """Write the script of the session beside a recording."""
+        taken: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._engine.call(lambda history: taken.put(script_of(history)))
+        with suppress(queue.Empty):
+            self._write(path, taken.get(timeout=PATIENCE if self._engine.alive else 0.0))
 
-        def take(history: History) -> None:
-            self._write(path, history)
-            done.set()
-
-        self._engine.call(take)
-        if self._engine.alive:
-            done.wait(PATIENCE)
-
-    def _write(self, path: Path, history: History) -> None:
+    def _write(self, path: Path, script: dict[str, Any]) -> None:
         try:
-            write_whole(path.with_suffix(".json"), script_text(history))
+            write_whole(path.with_suffix(".json"), dump(script))
         except OSError as error:
             self._told = f"the script of the session cannot be saved: {sentence(error)}"
 
@@ -127,7 +128,7 @@ class Records:
             old, path = self._publisher, self._path
             if old is None or path is None:
                 return
-            self._write(path, history)
+            self._write(path, script_of(history))
             self._path = self._free(path.stem, path.parent)
             self._publisher = Publisher(self._make(self._path), "wait", FILE_STEPS)
             self._engine.replace(old, self._publisher)
@@ -141,6 +142,17 @@ class Records:
             if not path.exists() and not path.with_suffix(".json").exists():
                 return path
         raise UsageError(f"there are a thousand recordings called {name}; expected another name")
+
+
+def _check_replaceable(path: Path) -> None:
+    """A script may be written over; anything else that bears its name is not ours to destroy."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(1 << 16)
+    except FileNotFoundError:
+        return
+    if b'"branches"' not in start:
+        raise UsageError(f"{path} exists and is no session of ours; it is not overwritten, so record to another name")
 
 
 def safe_name(name: str) -> str:

@@ -20,7 +20,6 @@ from app.live.history import Branch, History, digest_of
 from app.live.settings import Settings, ordered, plain
 from app.options import FILTERS
 from app.session import Change
-from app.summary import dump
 from app.types import SessionInfo, SessionStep
 from slam.limits import PARAMS
 from slam.types import Noise, Params
@@ -51,11 +50,6 @@ def _branch(branch: Branch) -> dict[str, Any]:
         "digest": branch.digest,
         "changes": [{"step": first, **plain(settings)} for first, settings in branch.changes],
     }
-
-
-def script_text(history: History) -> str:
-    """The same, to be written to a file."""
-    return dump(script_of(history))
 
 
 class Replay(NamedTuple):
@@ -178,6 +172,8 @@ class Check:
         """A sentence."""
         if self._last < self._replay.steps:
             return f"replay: stopped after {self._last} of {self._replay.steps} steps"
+        if self._replay.steps < self._replay.own_from:
+            return "replay: the branch has no steps of its own, so there is nothing to compare"
         if self._digest == self._replay.digest:
             return "replay: every pose, covariance and weight is that of the session, bit for bit"
         return "replay: NOT the numbers of the session; other versions of the packages, or another processor?"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from time import monotonic
+from time import monotonic, time
 from typing import Any, Protocol
 
 import rich
@@ -19,7 +19,8 @@ from app.live.engine import Engine, Status
 from app.live.trend import Trend
 from app.options import FILTERS, PRESETS
 from app.panel import now
-from app.panel.controls import Controls, filter_controls, noise_controls, preset_changes
+from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
+from app.panel.guard import guarded_server
 from scenarios.types import Source
 from slam.estimators import ESTIMATORS
 
@@ -62,7 +63,7 @@ NO_PRESET = "-"
 TRUNK = "the first run"
 """What people call the branch without a name."""
 
-MOST_SEED = 2**31 - 1
+MOST_SEED = 2**53 - 1
 
 
 class Records(Protocol):
@@ -133,6 +134,7 @@ class Panel:
         worlds: Sequence[str],
         open_world: Callable[[str], Source],
         view: Callable[[viser.ViserServer], View] | None = None,
+        notes: Callable[[], str] = lambda: "",
         host: str = "127.0.0.1",
         port: int = 0,
     ) -> None:
@@ -142,11 +144,13 @@ class Panel:
         self._worlds = list(worlds)
         self._open_world = open_world
         rich.get_console().quiet = True  # viser says there where it listens, and when it stops
-        self.server = viser.ViserServer(host=host, port=port, label=LABEL, verbose=False)
+        self.server = guarded_server(host, port, LABEL)
         self._gui = self.server.gui
         self._view = view(self.server) if view else None
         if self._view is not None:
             engine.add(self._view.trail)
+        self._notes = notes
+        """What is to be said beside where the session stands."""
         self._link = True
         self._speed = USUAL_SPEED
         self._wanted: int | None = None
@@ -244,7 +248,7 @@ class Panel:
                 box = gui.add_checkbox(
                     ESTIMATORS[key].title, key in status.settings.filters, hint=ESTIMATORS[key].reference
                 )
-                box.on_update(lambda _: self._set_filters())
+                box.on_update(lambda event: self._set_filter(event.target))
                 self.filters[key] = box
         self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
         self.preset.on_update(lambda _: self._set_preset())
@@ -280,7 +284,12 @@ class Panel:
         words = tuple(dict.fromkeys((name, *self._worlds)))
         self.world = gui.add_dropdown("world", words, initial_value=name, hint="Where the robot drives.")
         self.seed = gui.add_number(
-            "seed", status.info.seed, min=0, max=MOST_SEED, step=1, hint="Of all random numbers: same seed, same run."
+            "seed",
+            min(status.info.seed, MOST_SEED),
+            min=0,
+            max=MOST_SEED,
+            step=1,
+            hint="Of all random numbers: same seed, same run.",
         )
         self.reset = gui.add_button("Reset", hint="Begin again, in this world and with this seed.")
         self.reset.on_click(lambda _: self._reset())
@@ -323,10 +332,13 @@ class Panel:
             self._speed = self.speed.value
             self.engine_speed()
 
-    def _set_filters(self) -> None:
+    def _set_filter(self, box: Any) -> None:
         if getattr(self._own, "busy", False):
             return
-        self._engine.put({"filters": [key for key, box in self.filters.items() if box.value is True]})
+        for key, own in self.filters.items():
+            if own is box:
+                others = [other for other in self._engine.desk.read().filters if other != key]
+                self._engine.put({"filters": [*others, key] if box.value is True else others})
 
     def _set_preset(self) -> None:
         if self.preset.value in PRESETS:
@@ -405,6 +417,11 @@ class Panel:
             self._view.show(status)
         pick = self._view.describe_pick(status) if self._view is not None else ""
         self.controls.show(status.settings)  # always: one that somebody was at is left for later
+        self._own.busy = True
+        for key, box in self.filters.items():
+            if time() - box.update_timestamp > REST:
+                _set(box, "value", key in status.settings.filters)
+        self._own.busy = False
         shown = (status.changed, recorded, self._told(), pick)
         if shown == self._shown and not status.playing:
             return
@@ -417,12 +434,11 @@ class Panel:
             self._own.busy = False
 
     def _show(self, status: Status, recorded: str, pick: str) -> None:
-        _set(self.headline, "content", now.headline(status))
+        notes = self._notes()
+        _set(self.headline, "content", now.headline(status) + (f" - {notes}" if notes else ""))
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
-        for key, box in self.filters.items():
-            _set(box, "value", key in status.settings.filters)
         _set(self.time, "value", status.step)
         names = tuple(name or TRUNK for name, *_ in status.branches)
         if tuple(self.branches.options) != names:

@@ -34,6 +34,7 @@ class SessionWriter:
         self._over = False
         """Whether nothing more is to be written: a file has one session."""
         self._writers: dict[str, Writer] = {}
+        self._forks: dict[str, Forked] = {}
         self._first: Writer | None = None
         self._info: SessionInfo | None = None
 
@@ -49,9 +50,8 @@ class SessionWriter:
         self._first = Writer(self._info, self._open, self._aspect)
 
     def forked(self, forked: Forked) -> None:
-        """A tree of its own."""
-        if self._first is not None and self._writers:  # else the branch is what is recorded from here on
-            self._writers[forked.name] = self._beside(forked.name)
+        """A tree of its own, once it has a step."""
+        self._forks[forked.name] = forked
 
     def stepped(self, stepped: Stepped) -> None:
         """One more step."""
@@ -60,7 +60,7 @@ class SessionWriter:
         if not self._writers:
             self._writers[stepped.branch] = self._first
         if stepped.branch not in self._writers:
-            self._writers[stepped.branch] = self._beside(stepped.branch or TRUNK)
+            self._writers[stepped.branch] = self._beside(stepped.branch)
         self._writers[stepped.branch].step(stepped.step, self._detail())
 
     def _detail(self) -> Detail:
@@ -74,10 +74,15 @@ class SessionWriter:
     def closed(self) -> None:
         """Complete it."""
         writer, self._first, self._writers = self._first, None, {}
+        self._forks.clear()
         if writer is not None:
             writer.close()
 
-    def _beside(self, name: str) -> Writer:
+    def _beside(self, branch: str) -> Writer:
         assert self._first is not None
         assert self._info is not None
-        return self._first.fork(self._info, name)
+        info, forked = self._info, self._forks.get(branch)
+        if forked is not None:
+            filters = tuple(ESTIMATORS[key] for key in forked.settings.filters)
+            info = info._replace(filters=filters, params=forked.settings.params, noise=forked.settings.noise)
+        return self._first.fork(info, branch or TRUNK)

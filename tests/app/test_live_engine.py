@@ -13,11 +13,13 @@ import pytest
 
 from app import session
 from app.errors import UsageError
+from app.events import Watch
 from app.live.engine import Begun, Engine, Forked, Stepped, named_after
-from app.live.history import History
-from app.live.script import Check, replay_of, script_of, script_text
+from app.live.history import MOST_BRANCHES, History
+from app.live.script import Check, replay_of, script_of
 from app.live.settings import MOST, Desk, Settings, changed, described, first_settings
 from app.live.trend import Trend
+from app.summary import dump
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.types import Noise, Params
@@ -371,6 +373,69 @@ def test_playing_through_the_past_makes_nothing_new(live):
     assert len(notes.steps) == 11
 
 
+def test_from_a_branch_back_to_the_first_run_and_on(live, source):
+    """Where the branch stands one step before the end of the first run, it is not taken for it."""
+    engine, notes = live()
+    engine.step(20)
+    at(engine, 20)
+    engine.go(10)
+    at(engine, 10)
+    engine.change(particles=35)
+    engine.step(9)
+    at(engine, 19)
+    engine.to_branch("")
+    status = at(engine, 20, "")
+    plain = list(session.steps(info_of(source)._replace(steps=22)))
+    now = status.taken.step.filters["dfs"].trace.weighted.s
+    np.testing.assert_array_equal(now, plain[19].filters["dfs"].trace.weighted.s)
+    engine.step(2)
+    at(engine, 22, "")
+    np.testing.assert_array_equal(poses(notes.steps[-1]), plain[21].filters["dfs"].trace.weighted.s)
+
+
+def test_events_of_the_past_are_those_that_were_told(live):
+    """Also what depends on what was before, such as loops that close; and nothing is lost by having gone back."""
+    world = build("loop", features="landmarks")
+    engine, notes = live(info_of(world, ("dfs",), particles=20))
+    engine.step(240)
+    at(engine, 240)
+    engine.go(100)
+    at(engine, 100)
+    engine.go_newest()
+    at(engine, 240)
+    engine.step(10)
+    at(engine, 250)
+    told = {stepped.step.index: stepped.events for stepped in notes.steps}
+    watch, plain = Watch({"dfs": "Dual FastSLAM"}), session.steps(info_of(world, ("dfs",), particles=20))
+    expected = [(step.index, event) for step in plain if step.index <= 250 for event in watch.step(step)]
+    assert any(event.kind == "loop closed" for _, event in expected)
+    assert [(index, event) for index, events in told.items() for event in events] == expected
+    for index in {index for index, event in expected if event.kind == "loop closed"}:
+        engine.go(index)
+        assert at(engine, index).taken.events == told[index]
+
+
+def test_only_the_last_place_counts(live):
+    engine, _ = live()
+    engine.step(30)
+    at(engine, 30)
+    for index in range(29, 3, -1):
+        engine.go(index)
+    status = at(engine, 4)
+    assert status.step == 4
+
+
+def test_there_are_not_too_many_branches(live):
+    engine, _ = live()
+    engine.step(2)
+    at(engine, 2)
+    for _ in range(40):
+        engine.fork()
+    engine.step()
+    status = engine.wait(lambda s: s.step == 3)
+    assert len(status.branches) == MOST_BRANCHES
+
+
 def test_reset(live):
     engine, notes = live()
     engine.step(5)
@@ -470,7 +535,7 @@ def test_a_replay_is_the_session_bit_for_bit(live, source):
     engine.step(4)
     at(engine, 13)
     texts = []
-    engine.call(lambda history: texts.append(script_text(history)))
+    engine.call(lambda history: texts.append(dump(script_of(history))))
     engine.step()
     at(engine, 14)
     script = json.loads(texts[0])

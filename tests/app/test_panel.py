@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import http.client
 import math
 import time
 
 import msgspec
 import numpy as np
 import pytest
+import websockets.exceptions
 import websockets.sync.client
 import zstandard
 
@@ -370,7 +372,16 @@ def test_garbage_of_a_client_does_no_harm(live, client):
         client.set(panel.branches, value)
         client.set(panel.filters["dfs"], value)
     client.send({"type": "GuiUpdateMessage", "uuid": "nobody", "updates": {"value": 3}})
-    client.send({"type": "GuiUpdateMessage", "uuid": particles._impl.uuid, "updates": {"nothing": 3}})
+    for handle in (particles, panel.time, panel.play):
+        for updates in (
+            {"nothing": 3},
+            {"gui_api": None},
+            {"update_cb": []},
+            {"removed": True},
+            {"value": 1, "label": 2},
+        ):
+            client.send({"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": updates})
+    client.send({"type": "ShareUrlRequest"})
     time.sleep(0.5)
     for strange in ({"type": "NoSuchMessage"}, {}, [1, 2, 3], "x"):
         other = Client(panel.port)
@@ -388,6 +399,25 @@ def test_garbage_of_a_client_does_no_harm(live, client):
     late.set(panel.go, "Step")
     at(engine, engine.status.step + 0) if engine.status.step else engine.wait(lambda s: s.step >= 1, PATIENCE)
     late.close()
+
+
+@pytest.mark.parametrize(
+    ("header", "value"),
+    [("Origin", "https://evil.example"), ("Origin", "http://127.0.0.1:1"), ("Host", "evil.example")],
+)
+def test_pages_from_elsewhere_are_turned_away(live, header, value):
+    _, panel, _ = live
+    connection = http.client.HTTPConnection("127.0.0.1", panel.port, timeout=5.0)
+    connection.request("GET", "/", headers={header: value})
+    assert connection.getresponse().status == 403
+    connection.request("GET", "/")
+    assert connection.getresponse().status == 200
+    connection.close()
+    if header == "Origin":
+        with pytest.raises(websockets.exceptions.InvalidStatus):
+            websockets.sync.client.connect(
+                f"ws://127.0.0.1:{panel.port}", subprotocols=["viser-v1.1.1"], origin=value, compression=None
+            )
 
 
 def test_fifty_clients(live):
