@@ -117,7 +117,7 @@ class Run(SessionOptions):
         check = Check(replay)
         code = self._show(info, replay.session_changes(), [check])
         Console(stderr=True, highlight=False).print(check.told(), soft_wrap=True, markup=False)
-        return code
+        return code or int(not check.same)
 
     def _show(self, info: SessionInfo, changes: Sequence[session.Change] = (), more: Sequence[Observer] = ()) -> int:
         err = Console(stderr=True, highlight=False)

@@ -66,6 +66,8 @@ class Live(SessionOptions):
         out.print("starting ...")
         options = self if self.source else dataclasses.replace(self, source=USUAL)
         info = options.info(own, command if self.source else f"{command} {USUAL}")
+        if self.viewer == "native" and not _has_screen():
+            raise UsageError("--viewer native needs a screen, and there is none; expected web or none")
         if info.params.particles > MOST:
             raise UsageError(f"--particles is {info.params.particles}; expected at most {MOST} on the page")
         for warning in info.source.warnings:
@@ -148,7 +150,7 @@ class Workbench:
     def _say(self, text: str) -> None:
         """On a terminal that may have been closed."""
         with suppress(OSError):
-            self._out.print(text, soft_wrap=True, markup=False)
+            self._out.print(text.replace("**", ""), soft_wrap=True, markup=False)
 
     def _notes(self) -> str:
         """What became of the stream to viewers, where it is not as it should be."""
@@ -198,11 +200,14 @@ class Workbench:
             self._publisher.join(PATIENCE)
 
 
+def _has_screen() -> bool:
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def _open_browser(url: str, out: Console) -> None:
     """Open it where there is a screen."""
-    screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     try:
-        if screen and webbrowser.open(url):
+        if _has_screen() and webbrowser.open(url):
             return
     except (OSError, webbrowser.Error) as error:
         out.print(f"no browser could be opened ({sentence(error)})", soft_wrap=True, markup=False)

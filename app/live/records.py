@@ -82,7 +82,7 @@ class Records:
             self._save(path)
             steps = f"{publisher.published} steps"
             if publisher.error:
-                self._told = f"**lost**: {publisher.error}; {path} has what was written until then, {steps}"
+                self._told = f"**lost**: {publisher.error} ({steps} of {path})"
             elif not done:
                 self._told = f"**{path} could not be completed in {PATIENCE:g} s**; it has what was written until then"
             else:
@@ -102,7 +102,7 @@ class Records:
         if publisher is None or path is None:
             return self._told and f"{self._told}\n\nOpen it with `rerun {path}`; `dualslam run --replay` runs it again."
         if publisher.error:
-            return f"**{path} is lost from here on**: {publisher.error}. What was written until then is kept."
+            return f"**{path} is lost from here on**: {publisher.error}"
         size = path.stat().st_size / 1e6 if path.exists() else 0.0
         return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
 

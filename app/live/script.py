@@ -168,6 +168,12 @@ class Check:
     def end(self) -> None:
         """Nothing to do."""
 
+    @property
+    def same(self) -> bool:
+        """Whether it is, to the end."""
+        own = self._replay.steps >= self._replay.own_from
+        return self._last == self._replay.steps and (not own or self._digest == self._replay.digest)
+
     def told(self) -> str:
         """A sentence."""
         if self._last < self._replay.steps:

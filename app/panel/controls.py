@@ -284,6 +284,8 @@ class Controls:
         return gui.add_number(control.label, low, min=low, max=high, step=step, hint=control.hint)
 
 
-def preset_changes(name: str) -> dict[str, Any]:
-    """What a set of parameters puts on the desk."""
-    return dict(PRESETS.get(name, {}))
+def preset_changes(name: str, source: Source) -> dict[str, Any]:
+    """What a set of parameters puts on the desk; what only other sets speak of is the source's own again."""
+    own = source.params()
+    others = {field for preset in PRESETS.values() for field in preset}
+    return {field: getattr(own, field) for field in sorted(others)} | PRESETS.get(name, {})

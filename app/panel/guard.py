@@ -5,6 +5,7 @@ viser accepts every origin, opens a public tunnel for whoever asks, and lets a c
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ _PATCHING = threading.Lock()
 
 def guarded_server(host: str, port: int, label: str) -> viser.ViserServer:
     """A viser server that only pages from itself may talk to, or programs of this machine, which have no origin."""
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # what a client does wrong is its own affair
     with _PATCHING, _own_pages_only():
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     for tunnel in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):

@@ -34,11 +34,13 @@ def message(status: Status) -> str:
     """What the person is to know, or the last event."""
     if status.message:
         return bold(status.message)
-    if not status.told:
-        return "Nothing worth telling has happened yet."
-    step, branch, event = status.told[-1]
-    where = f" ({branch})" if branch and branch != status.branch else ""
-    return f"*{step}{where}: {_safe(event.text)}*"
+    told = [(step, event) for step, branch, event in status.told if branch == status.branch and step <= status.step]
+    if not told:
+        return "*nothing worth telling so far*"
+    step, _ = told[-1]
+    texts = [event.text for at, event in told if at == step]
+    more = f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
+    return f"*{step}: {_safe(texts[-1])}{more}*"
 
 
 def bold(text: str) -> str:
@@ -48,21 +50,23 @@ def bold(text: str) -> str:
 
 def table(status: Status) -> str:
     """A markdown table of the filters' measures."""
-    rows = ["| | K | N_eff | diversity | error [m] | NEES | features | ms |", "|---|---|---|---|---|---|---|---|"]
+    rows = ["| | K | N_eff | diversity | error, m | NEES | features | ms |", "|---|--:|--:|--:|--:|--:|--:|--:|"]
     step = status.taken.step if status.taken else None
     for key, update in (step.filters if step else {}).items():
         m, K = update.measures, len(update.trace.weighted.log_w)
         of_many = (f"{m.n_eff / K:.0%}", f"{m.diversity:.0%}") if key != "ekf" else ("", "")
         title = f"{ESTIMATORS[key].title} ({colours.word(key)})"
         cells = [title, f"{K}", *of_many, _number(m.position_error_m), _number(m.nees_position), f"{m.features}"]
-        rows.append(f"| {' | '.join(cells)} | {1e3 * update.seconds:.2g} |")
+        rows.append(f"| {' | '.join(cells)} | {_number(1e3 * update.seconds)} |")
     return "\n".join(rows)
 
 
 def _number(value: float) -> str:
     if math.isnan(value):
         return ""
-    return "inf" if math.isinf(value) else f"{value:.3g}"
+    if math.isinf(value):
+        return "inf"
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 def _safe(text: str) -> str:
@@ -74,6 +78,7 @@ class Plot:
     """One measure of all filters over the last steps."""
 
     def __init__(self, gui: viser.GuiApi, title: str, high: float | None = None) -> None:
+        self._high = high
         series = [uplot.Series(label="step")]
         for key in FILTERS:
             colour = "rgb({},{},{})".format(*colours.of_filter(key))
@@ -96,6 +101,9 @@ class Plot:
 
     def show(self, steps: Floats, values: dict[str, Floats]) -> None:
         """Steps (T,), and for every filter (T,)."""
+        if self._high is None:  # the browser finds no range among numbers that are not there
+            highest = max((float(np.nanmax(v)) for v in values.values() if np.isfinite(v).any()), default=1.0)
+            self._handle.scales = {"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.05 * highest or 1.0))}
         self._handle.data = _columns(steps, values)
 
 
@@ -109,7 +117,7 @@ class Plots:
     """N_eff and error."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._n_eff = Plot(gui, "N_eff / K", 1.02)
+        self._n_eff = Plot(gui, "N_eff / K", 1.05)
         self._error = Plot(gui, "position error [m]")
 
     def show(self, trends: Trends) -> None:

@@ -195,22 +195,22 @@ class Panel:
         source = status.info.source
         self.controls = Controls(gui, self._put, self._engine.desk.read)
         self.headline = gui.add_markdown(now.headline(status))
-        self.message = gui.add_markdown(now.message(status))
         self._build_transport()
-        self.table = gui.add_markdown(now.table(status))
+        self.message = gui.add_markdown(now.message(status))
         tabs = gui.add_tab_group()
+        with tabs.add_tab("Now"):
+            self.table = gui.add_markdown(now.table(status))
+            self.plots = now.Plots(gui)
+        with tabs.add_tab("Run"):
+            self._build_run(status)
         with tabs.add_tab("Noise"):
             self._build_noise(source)
         with tabs.add_tab("Filter"):
             self._build_filter(source, status)
         with tabs.add_tab("Time travel"):
             self._build_travel(status)
-        with tabs.add_tab("Plots"):
-            self.plots = now.Plots(gui)
         with tabs.add_tab("Record"):
             self._build_record()
-        with tabs.add_tab("World"):
-            self._build_world(status)
         with tabs.add_tab("View"):
             self._build_view()
         self._built = status.number
@@ -221,11 +221,8 @@ class Panel:
         gui, engine = self._gui, self._engine
         self.play = gui.add_button("Play", hint="Go on, or stop after the step that is being made.", color="green")
         self.play.on_click(lambda _: engine.pause() if engine.status.playing else engine.play())
-        self.go = gui.add_button_group("one at a time", (STEP, BACK, RUN_TO), hint="A step, or up to an event.")
+        self.go = gui.add_button_group("one at a time", (STEP, BACK, RUN_TO))
         self.go.on_click(lambda _: self._go(self.go.value))
-        self.until = gui.add_dropdown("run to", tuple(UNTIL), hint="Where 'Run to event' stops.")
-        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=self._speed, hint="Steps in a second.")
-        self.speed.on_update(lambda _: self._set_speed())
 
     def _build_noise(self, source: Source) -> None:
         gui = self._gui
@@ -278,11 +275,14 @@ class Panel:
         self.record.on_click(lambda _: self._toggle_recording())
         self.recorded = gui.add_markdown(self._records.describe())
 
-    def _build_world(self, status: Status) -> None:
+    def _build_run(self, status: Status) -> None:
         gui = self._gui
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value=self._speed, hint="Steps in a second.")
+        self.speed.on_update(lambda _: self._set_speed())
+        self.until = gui.add_dropdown("run to", tuple(UNTIL), hint="Where 'Run to event' stops.")
         name = status.info.source.name
         words = tuple(dict.fromkeys((name, *self._worlds)))
-        self.world = gui.add_dropdown("world", words, initial_value=name, hint="Where the robot drives.")
+        self.world = gui.add_dropdown("world", words, initial_value=name, hint="Where the robot drives, after Reset.")
         self.seed = gui.add_number(
             "seed",
             min(status.info.seed, MOST_SEED),
@@ -291,7 +291,7 @@ class Panel:
             step=1,
             hint="Of all random numbers: same seed, same run.",
         )
-        self.reset = gui.add_button("Reset", hint="Begin again, in this world and with this seed.")
+        self.reset = gui.add_button("Reset", hint="Begin again, in the chosen world and with this seed.")
         self.reset.on_click(lambda _: self._reset())
         self.new_seed = gui.add_button("New seed", hint="Begin again with the next seed.")
         self.new_seed.on_click(lambda _: self._engine.reset(seed=(self._engine.status.info.seed + 1) % MOST_SEED))
@@ -342,7 +342,7 @@ class Panel:
 
     def _set_preset(self) -> None:
         if self.preset.value in PRESETS:
-            self._engine.put(preset_changes(self.preset.value))
+            self._engine.put(preset_changes(self.preset.value, self._engine.status.info.source))
 
     def _set_branch(self) -> None:
         if getattr(self._own, "busy", False):

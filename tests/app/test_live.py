@@ -124,6 +124,8 @@ def test_what_cannot_be_is_one_sentence(tmp_path):
             (["paper-line", "--port", str(port)], ["--port", str(port)]),
             (["paper-line", "--port", "80"], ["--port is 80", "between 1024 and 65535"]),
             (["paper-line", "--viewer", "glass"], ["--viewer", "web"]),
+            (["paper-line", "--viewer", "native"], ["--viewer native", "screen"]),
+            (["paper-line", "--particles", "50000"], ["--particles is 50000", "20000"]),
             (["nowhere"], ["nowhere"]),
             (["paper-line", "--record", "a.txt"], ["--record a.txt", ".rrd"]),
             (["paper-line", "--particles", "0"], ["--particles is 0"]),
@@ -182,6 +184,7 @@ def test_a_person_with_a_browser(tmp_path):
             assert slide(tab, "particles K", 45) == "500"
             press(tab, "Step")
             see(tab, r"step 2 of")
+            panel_of(tab).get_by_role("tab", name="Now").click()
             see(tab, "^500$")
 
             panel_of(tab).get_by_role("tab", name="Noise").click()
@@ -189,7 +192,6 @@ def test_a_person_with_a_browser(tmp_path):
             press(tab, "Step")
             see(tab, r"step 3 of")
 
-            panel_of(tab).get_by_role("tab", name="World").scroll_into_view_if_needed()
             press(tab, "Play")
             see(tab, r"step (1\d|2\d) of")
             press(tab, "Pause")
@@ -206,7 +208,7 @@ def test_a_person_with_a_browser(tmp_path):
             panel_of(tab).get_by_role("tab", name="Record").click()
             press(tab, "Stop recording")
             see(tab, "saved session.rrd")
-            panel_of(tab).get_by_role("tab", name="World").click()
+            panel_of(tab).get_by_role("tab", name="Run").click()
             press(tab, "Reset")
             see(tab, r"step 0 of")
             assert len(shown) > 10_000  # both halves are there: an empty one compresses to nothing
