@@ -193,6 +193,7 @@ class Workbench:
     def end(self) -> None:
         """Save everything, and say so."""
         self._say("ending ...")
+        self.engine.pause()
         if self.records.running:
             self._say(self.records.stop())
         self.engine.close(PATIENCE)

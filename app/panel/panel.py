@@ -54,7 +54,7 @@ UNTIL = {
     "any of these": ("depleted", "loop closed", "association lost"),
 }
 
-NO_PICK = "Click a particle in the picture to see all about it."
+NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into a rectangle, the right button moves."
 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 

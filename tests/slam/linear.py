@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from slam.linalg import factor22, times22
 from slam.motion import Odometry
 from slam.types import Floats, Frame, Noise, ObservationNoise, Params
 
@@ -45,6 +46,14 @@ class Linear(NamedTuple):
     def innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
         v = (z[0] - theta[0] + s[0], z[1] - theta[1] + s[1])
         return v, ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
+
+    @staticmethod
+    def observable(feature: Any, s: Any, P: Any, z: Any, v: Any, G_s: Any, R: Any) -> Any:
+        return G_s
+
+    @staticmethod
+    def displacement(feature: Any, s: Any, P: Any, z: Any, V: Any, R: Any, normal: Any) -> Any:
+        return times22(factor22(V), normal)
 
     @staticmethod
     def inverse(feature: Any, s: Any, z: Any) -> Any:
