@@ -35,6 +35,10 @@ PATIENCE = 30.0
 LOOK_EVERY = 0.2
 """[s] after which Ctrl-C takes effect at the latest."""
 
+SWITCH = 5e-4
+"""[s] after which a thread gives the interpreter to another one that waits: that of the filters waits for it less than
+the usual five thousandths, each time that a kernel is done."""
+
 PORTS = Interval(1024, 65535)
 
 
@@ -72,6 +76,7 @@ class Live(SessionOptions):
             raise UsageError(f"--particles is {info.params.particles}; expected at most {MOST} on the page")
         for warning in info.source.warnings:
             out.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+        sys.setswitchinterval(SWITCH)
         with Interrupts() as interrupts, ExitStack() as stack:
             with interrupts.shield():
                 workbench = Workbench(self, info, out, stack)

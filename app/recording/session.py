@@ -9,12 +9,15 @@ from time import monotonic
 from app.live.engine import Begun, Forked, Stepped
 from app.recording.blueprint import MAP_ASPECT, PAGE_ASPECT
 from app.recording.stream import OpenStream
-from app.recording.writer import Detail, Writer
-from app.types import SessionInfo
+from app.recording.writer import Writer
+from app.types import SessionInfo, SessionStep
 from slam.estimators import ESTIMATORS
 
 PICTURES = 8.0
-"""[1/s]"""
+"""[1/s] at most, for viewers."""
+
+DUTY = 0.2
+"""Share of the time that pictures may take, beyond which they wait: filters want the interpreter, too."""
 
 TRUNK = "the first run"
 """What people call the branch without a name, where another one was there first."""
@@ -30,7 +33,8 @@ class SessionWriter:
         self._open = open_stream
         self._live = live
         self._aspect = PAGE_ASPECT if live else MAP_ASPECT
-        self._pictured_at = -math.inf
+        self._picture_at = -math.inf
+        """[s] when there may be another one."""
         self._over = False
         """Whether nothing more is to be written: a file has one session."""
         self._writers: dict[str, Writer] = {}
@@ -61,15 +65,17 @@ class SessionWriter:
             self._writers[stepped.branch] = self._first
         if stepped.branch not in self._writers:
             self._writers[stepped.branch] = self._beside(stepped.branch)
-        self._writers[stepped.branch].step(stepped.step, self._detail())
+        self._write(self._writers[stepped.branch], stepped.step)
 
-    def _detail(self) -> Detail:
-        if not self._live:
-            return "usual"
-        if monotonic() - self._pictured_at < 1.0 / PICTURES:
-            return "numbers"
-        self._pictured_at = monotonic()
-        return "all"
+    def _write(self, writer: Writer, step: SessionStep) -> None:
+        """With pictures, if that leaves time for the filters; of a file only those of the past may be left out."""
+        began = monotonic()
+        if began < self._picture_at:
+            writer.step(step, "numbers" if self._live else "present")
+            return
+        writer.step(step, "all" if self._live else "usual")
+        now = monotonic()
+        self._picture_at = now + max((now - began) * (1.0 / DUTY - 1.0), 1.0 / PICTURES if self._live else 0.0)
 
     def closed(self) -> None:
         """Complete it."""

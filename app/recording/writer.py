@@ -42,8 +42,9 @@ GUIDES = {
 }
 """Series in `/plots` that belong to no filter."""
 
-Detail = Literal["usual", "all", "numbers"]
-"""What is written of a step: pictures as often as their turn comes, all of them, or none."""
+Detail = Literal["usual", "all", "present", "numbers"]
+"""What is written of a step: pictures as often as their turn comes, all of them, none of what lies behind (maps of all
+particles, lineages, ancestry), or none at all."""
 
 OF_A_BRANCH = ("n_eff/threshold",)
 """Those of them that may differ from the run's."""
@@ -156,7 +157,7 @@ class Writer:
         self._notice(step.filters.keys())
         self._remember(step)
         if detail != "numbers":
-            self._write_pictures(step, stage, now, detail == "all")
+            self._write_pictures(step, stage, now, detail)
 
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
@@ -172,8 +173,9 @@ class Writer:
             self._stream.log("events", line)
         self._stream.check()
 
-    def _write_pictures(self, step: SessionStep, stage: int, now: tuple[int, float], everything: bool) -> None:
-        """All but numbers; `everything`, however seldom its turn is in a long run."""
+    def _write_pictures(self, step: SessionStep, stage: int, now: tuple[int, float], detail: Detail) -> None:
+        """All but numbers."""
+        everything = detail == "all"  # however seldom its turn is in a long run
         self._write_surroundings(step, everything)
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
@@ -199,7 +201,7 @@ class Writer:
 
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
-            self._write_memory(key, update, step.index, everything)
+            self._write_memory(key, update, step.index, everything, detail != "present")
 
     def close(self) -> None:
         """Complete the file."""
@@ -340,11 +342,11 @@ class Writer:
         for entity, what in seen.items():
             self._stream.log(f"world/{key}/{entity}", *what)
 
-    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool) -> None:
+    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool, past: bool) -> None:
         """What the filter remembers: maps, paths, ancestry."""
         style, limits, log = self._styles[key], self._limits, self._stream.log
         weighted, steps = update.trace.weighted, self._info.steps
-        picture = everything or due(index, steps, limits.pictures)
+        picture = past and (everything or due(index, steps, limits.pictures))
         if picture or update.measures.features <= limits.features:
             theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
             for entity, what in self._features.best_map(theta, Sigma, style).items():

@@ -8,6 +8,7 @@ of the wall clock the publishers' threads were at work.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from time import monotonic
 import numpy as np
 
 from app import session
+from app.live.command import SWITCH
 from app.live.engine import Engine
 from app.live.publisher import FILE_STEPS, VIEWER_STEPS, Publisher
 from app.recording.live import LiveHost, quiet
@@ -30,10 +32,11 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=240)
     arguments = parser.parse_args()
     quiet()
+    sys.setswitchinterval(SWITCH)
     from app.recording.session import SessionWriter
     from app.recording.stream import FileStream
 
-    source = build("loop", features="landmarks", max_range=8.0)
+    source = build("loop", features="landmarks", max_range=7.0)
     seen = np.mean([len(step.frame.z) for step in source.steps[: arguments.steps]])
     print(f"{arguments.particles} particles, {seen:.1f} observations a step, {arguments.steps} steps")
     host = LiveHost()
