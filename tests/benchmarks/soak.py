@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -65,7 +66,8 @@ def main() -> int:
             sizes.append((monotonic() - began, resident(pid), server))
         seconds = monotonic() - began
         for child in frozen:
-            os.kill(child, signal.SIGCONT)
+            with suppress(ProcessLookupError):  # a browser ends a page that does not answer for minutes
+                os.kill(child, signal.SIGCONT)
         code = running.end()
         steps = Recording(directory / "soak.rrd").series("/plots/n_eff/dfs")[0].tolist()
         size = (directory / "soak.rrd").stat().st_size / 1024
