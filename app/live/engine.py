@@ -36,9 +36,6 @@ RATE_OVER = 2.0
 FASTEST = 1000.0
 """[1/s] Nobody sees more steps in a second, and slower ones are held back for as long as they have to."""
 
-EVENTS = ("resampled", "depleted", "loop closed", "association lost", "changed")
-"""What one can run to."""
-
 
 class Begun(NamedTuple):
     """A session has begun: the first one, or another after a reset."""
@@ -166,18 +163,14 @@ class Engine:
         """Begin; call it once."""
         self._thread.start()
 
-    def change(self, **changes: Any) -> Settings:
-        """Settings by name, from the next step on (`app.live.settings.changed`); dots in names are `__`."""
-        return self.put({name.replace("__", "."): value for name, value in changes.items()})
-
     def put(self, changes: Mapping[str, Any]) -> Settings:
-        """The same by dotted name."""
+        """Settings by dotted name, from the next step on (`app.live.settings.changed`)."""
         settings = self.desk.change(changes)
         self._commands.put(lambda: None)  # wakes it, so that the status tells
         return settings
 
     def play(self, until: Sequence[str] = ()) -> None:
-        """Go on and on; or until one of these events (`EVENTS`)."""
+        """Go on and on; or until an event of one of these kinds (`Event.kind`)."""
         self._commands.put(lambda: self._play(until))
 
     def pause(self) -> None:
@@ -461,13 +454,13 @@ class Engine:
             info = info._replace(seed=int(seed))
         info = info._replace(params=settings.params, noise=settings.noise)
         self.desk.put(settings)
-        self._history = History(info, settings)
+        self._number += 1
+        self._history = History(info, settings, self._number)
         self._history.tell = self._tell
         self._taken, self._message = None, ""
         self._stands()
         self._told.clear()
         self._times.clear()
-        self._number += 1
         self._begin()
 
     def _add(self, listener: Listener) -> None:

@@ -142,8 +142,10 @@ class Taken(NamedTuple):
 class History:
     """The branches of a session, and where it stands."""
 
-    def __init__(self, info: SessionInfo, settings: Settings) -> None:
+    def __init__(self, info: SessionInfo, settings: Settings, number: int = 0) -> None:
         self.info = info
+        self.number = number
+        """How many sessions there were before, in the same engine."""
         self.branches = [Branch("", None, 0, 0, [(1, settings)])]
         self.branch = self.branches[0]
         self.tell: Callable[[str], None] = lambda text: None

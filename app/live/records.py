@@ -107,11 +107,14 @@ class Records:
         return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
 
     def _save(self, path: Path) -> None:
-        """Write the script of the session beside a recording."""
-        taken: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._engine.call(lambda history: taken.put(script_of(history)))
+        """Write the script of the session beside its recording; not that of another one, after a reset meanwhile."""
+        number = self._engine.status.number
+        taken: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._engine.call(lambda history: taken.put(script_of(history) if history.number == number else None))
         with suppress(queue.Empty):
-            self._write(path, taken.get(timeout=PATIENCE if self._engine.alive else 0.0))
+            script = taken.get(timeout=PATIENCE if self._engine.alive else 0.0)
+            if script is not None:
+                self._write(path, script)
 
     def _write(self, path: Path, script: dict[str, Any]) -> None:
         try:
@@ -122,13 +125,13 @@ class Records:
     def _before_reset(self, history: History) -> None:
         """A file has one session: the next one goes into another.  In the thread of the session, so it must not wait
         for `stop`, which waits for that."""
+        old, path = self._publisher, self._path
+        if old is None or path is None:
+            return
+        self._write(path, script_of(history))
         if not self._lock.acquire(blocking=False):
             return
         try:
-            old, path = self._publisher, self._path
-            if old is None or path is None:
-                return
-            self._write(path, script_of(history))
             self._path = self._free(path.stem, path.parent)
             self._publisher = Publisher(self._make(self._path), "wait", FILE_STEPS)
             self._engine.replace(old, self._publisher)

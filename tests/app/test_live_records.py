@@ -20,38 +20,28 @@ from app.recording.session import SessionWriter
 from app.recording.stream import FileStream, check_path
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from tests.app.live import PATIENCE, Notes, at, change
 
-PATIENCE = 60.0
 
-
-class Slow:
+class Slow(Notes):
     """A listener that takes its time."""
 
     def __init__(self, seconds=0.0, fails_at=None):
+        super().__init__()
         self.seconds, self.fails_at = seconds, fails_at
-        self.all = []
         self.gate = threading.Event()
         self.gate.set()
-
-    def begun(self, begun):
-        self.all.append(begun)
-
-    def forked(self, forked):
-        self.all.append(forked)
 
     def stepped(self, stepped):
         self.gate.wait(PATIENCE)
         time.sleep(self.seconds)
         if stepped.step.index == self.fails_at:
             raise OSError(28, "No space left on device")
-        self.all.append(stepped)
-
-    def closed(self):
-        self.all.append(None)
+        super().stepped(stepped)
 
     @property
-    def steps(self):
-        return [item.step.index for item in self.all if isinstance(item, Stepped)]
+    def indices(self):
+        return [stepped.step.index for stepped in self.steps]
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +56,6 @@ def engine(source):
     made.start()
     yield made
     made.close(PATIENCE)
-
-
-def at(engine, step):
-    return engine.wait(lambda s: s.step == step and not s.message.startswith("going"), PATIENCE)
 
 
 def test_a_viewer_that_is_slow_loses_the_oldest_steps_and_nothing_else(engine):
@@ -90,10 +76,10 @@ def test_a_viewer_that_is_slow_loses_the_oldest_steps_and_nothing_else(engine):
     engine.remove(publisher)
     assert publisher.join(PATIENCE)
     assert [type(item) for item in slow.all if not isinstance(item, Stepped)] == [Begun, Forked, type(None)]
-    assert slow.steps[-1] == 11
-    assert slow.steps[-2] == 30
-    assert len(slow.steps) <= 5
-    assert publisher.dropped == 31 - len(slow.steps)
+    assert slow.indices[-1] == 11
+    assert slow.indices[-2] == 30
+    assert len(slow.indices) <= 5
+    assert publisher.dropped == 31 - len(slow.indices)
 
 
 def test_a_file_loses_no_step_the_session_waits_for_it(engine):
@@ -104,7 +90,7 @@ def test_a_file_loses_no_step_the_session_waits_for_it(engine):
     at(engine, 40)
     engine.remove(publisher)
     assert publisher.join(PATIENCE)
-    assert slow.steps == list(range(1, 41))
+    assert slow.indices == list(range(1, 41))
     assert (publisher.dropped, publisher.published) == (0, 40)
 
 
@@ -130,7 +116,7 @@ def test_who_fails_is_closed_and_the_session_goes_on(engine):
     at(engine, 10)
     engine.remove(publisher)
     assert publisher.join(PATIENCE)
-    assert slow.steps == [1, 2]
+    assert slow.indices == [1, 2]
     assert publisher.error == "the disk is full"
     assert slow.all[-1] is None
 
@@ -147,12 +133,12 @@ def test_a_recording_has_every_step_and_the_script_beside_it(engine, tmp_path):
     assert records.running
     engine.step(20)
     at(engine, 23)
-    engine.change(particles=17, filters=("dfs", "fs2"))
+    change(engine, particles=17, filters=("dfs", "fs2"))
     engine.step(2)
     at(engine, 25)
     engine.go(15)
     at(engine, 15)
-    engine.change(particles=30)
+    change(engine, particles=30)
     engine.step(3)
     at(engine, 18)
     assert "recording" in records.describe()
@@ -196,6 +182,25 @@ def test_a_reset_begins_another_file(engine, tmp_path):
     np.testing.assert_array_equal(second, [1, 2])
     seeds = [json.loads((tmp_path / name).read_text()) for name in ("r.json", "r-2.json")]
     assert [(script["seed"], script["branches"][0]["steps"]) for script in seeds] == [(1, 4), (5, 2)]
+
+
+def test_a_script_that_is_saved_late_is_not_that_of_the_next_session(engine, tmp_path, monkeypatch):
+    """It was asked for before the reset, and its turn comes after it."""
+    monkeypatch.setattr("app.live.records.KEEP_EVERY", -1.0)
+    records, gate = records_of(engine, tmp_path), threading.Event()
+    records.start("r")
+    engine.step(4)
+    at(engine, 4)
+    engine.call(lambda history: gate.wait(PATIENCE))
+    engine.reset(seed=5)
+    keeping = threading.Thread(target=records.keep)
+    keeping.start()
+    time.sleep(0.2)
+    gate.set()
+    keeping.join(PATIENCE)
+    engine.wait(lambda s: s.number == 1)
+    assert json.loads((tmp_path / "r.json").read_text())["seed"] == 1
+    records.stop()
 
 
 def test_a_recording_that_fails_is_told_and_the_session_goes_on(engine, tmp_path):

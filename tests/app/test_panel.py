@@ -21,6 +21,7 @@ from app.panel.controls import filter_controls, noise_controls
 from app.panel.panel import SPEEDS, TRUNK, UNTIL, Panel
 from scenarios.registry import build, worlds
 from slam.estimators import ESTIMATORS
+from tests.app.live import at, change
 
 PATIENCE = 20.0
 
@@ -75,10 +76,6 @@ def soon(condition, patience=PATIENCE):
             return
         time.sleep(0.02)
     raise AssertionError("not in time")
-
-
-def at(engine, step):
-    return engine.wait(lambda s: s.step == step and not s.message.startswith("going"), PATIENCE)
 
 
 def bound(panel, name, slider=True):
@@ -165,7 +162,7 @@ def test_numbers_beyond_their_limits_are_brought_back(live, value):
 
 def test_controls_follow_the_desk(live):
     engine, panel, _ = live
-    engine.change(particles=230, resample_below=0.25, noise__range=0.125, resampler="residual", filters=("fs1", "ekf"))
+    change(engine, particles=230, resample_below=0.25, noise__range=0.125, resampler="residual", filters=("fs1", "ekf"))
     soon(lambda: bound(panel, "particles").handle.value == 230)
     soon(lambda: bound(panel, "resampler").handle.value == "residual")
     assert bound(panel, "particles", slider=False).handle.value == 230
