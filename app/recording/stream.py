@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ def _check_replaceable(path: Path) -> None:
         raise RecordingError(f"--record {path} exists and is no recording; it is not overwritten")
 
 
-class Stream:
+class Stream(ABC):
     """Log here, from one thread.  Where it goes is a matter of the kinds of streams below."""
 
     def __init__(self, blueprint: rrb.Blueprint, name: str, flush_every: float = FLUSH_EVERY) -> None:
@@ -95,6 +95,7 @@ class Stream:
         if sim_time is not None:
             self._rec.set_time("sim_time", duration=sim_time)
 
+    @abstractmethod
     def check(self) -> None:
         """`RecordingLost` if what was logged does not arrive any more; once."""
 
@@ -114,9 +115,9 @@ class Stream:
         del self._rec
         rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
+    @abstractmethod
     def _connect(self, blueprint: rrb.Blueprint) -> None:
         """To where it goes."""
-        raise NotImplementedError
 
 
 OpenStream = Callable[["rrb.Blueprint", str], Stream]
@@ -163,54 +164,6 @@ class FileStream(Stream):
         self._pipe.seal()
 
 
-class Tee(Stream):
-    """Several streams that get the same: what is drawn is made once, which takes most of the time."""
-
-    def __init__(self, streams: Sequence[Stream]) -> None:
-        self._streams = streams
-
-    def begun(self) -> None:
-        """Make sure, before the run begins, that what does not change has arrived."""
-        for stream in self._streams:
-            stream.begun()
-
-    def log(self, entity: str, *what: Any) -> None:
-        """At the present time."""
-        for stream in self._streams:
-            stream.log(entity, *what)
-
-    def log_static(self, entity: str, *what: Any) -> None:
-        """True at all times."""
-        for stream in self._streams:
-            stream.log_static(entity, *what)
-
-    def property(self, name: str, what: Any) -> None:
-        """Of the recording as a whole."""
-        for stream in self._streams:
-            stream.property(name, what)
-
-    def show(self, blueprint: rrb.Blueprint) -> None:
-        """Lay out anew every window that shows one of them."""
-        for stream in self._streams:
-            stream.show(blueprint)
-
-    def set_time(self, stage: int, step: int | None = None, sim_time: float | None = None) -> None:
-        """What is logged next belongs to this moment."""
-        for stream in self._streams:
-            stream.set_time(stage, step, sim_time)
-
-    def check(self) -> None:
-        """`RecordingLost` if one of them does not arrive any more; once for each, and the others go on."""
-        for stream in self._streams:
-            stream.check()
-
-    def close(self) -> None:
-        """Close all of them, whatever happens to one."""
-        with ExitStack() as closing:
-            for stream in self._streams:
-                closing.callback(stream.close)
-
-
 class BranchStream(Stream):
     """A part of an open stream, with everything below `/branch/<name>`; closing it leaves the other one open."""
 
@@ -248,6 +201,9 @@ class BranchStream(Stream):
 
     def close(self) -> None:
         """Nothing: whoever opened the other one closes it."""
+
+    def _connect(self, blueprint: rrb.Blueprint) -> None:
+        """It is."""
 
 
 def _reason(error: OSError) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from functools import partial
 
-import numpy as np
 import pytest
 
 from app import session
@@ -107,22 +106,6 @@ def test_filters_come_and_go(tmp_path):
         assert not {view.name: view.reports for view in viewer.views() if view.reports}
     finally:
         viewer.__exit__()
-
-
-def test_two_streams_get_the_same(tmp_path):
-    from app.recording.stream import FileStream, Tee
-
-    paths, info = (tmp_path / "a.rrd", tmp_path / "b.rrd"), info_of("dfs")
-    writer = Writer(info, lambda blueprint, name: Tee([FileStream(path, blueprint, name) for path in paths]))
-    for step in session.steps(info):
-        writer.step(step)
-    writer.close()
-    one, two = (Recording(path) for path in paths)
-    assert one.entities == two.entities
-    assert one.timelines("/world/dfs/particles") == two.timelines("/world/dfs/particles")
-    for entity in ("/plots/n_eff/dfs", "/plots/position_error/dfs"):
-        for a, b in zip(one.series(entity), two.series(entity), strict=True):
-            np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize(
