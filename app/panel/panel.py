@@ -153,8 +153,6 @@ class Panel:
         """What is to be said beside where the session stands."""
         self._link = True
         self._speed = USUAL_SPEED
-        self._wanted: int | None = None
-        """A step that somebody wants to go to; only the last one counts."""
         self._said, self._said_at = "", 0.0
         """What came of something that was asked for, and when."""
         self._shown = (-1, "", False, "")
@@ -361,8 +359,7 @@ class Panel:
         if getattr(self._own, "busy", False):
             return
         if isinstance(step, int | float) and not isinstance(step, bool):
-            self._wanted = int(min(max(step, 0), self._engine.status.newest))
-            self._wake.set()
+            self._engine.go(int(min(max(step, 0), self._engine.status.newest)))
 
     def _toggle_recording(self) -> None:
         name = self.name.value if isinstance(self.name.value, str) else ""
@@ -406,9 +403,6 @@ class Panel:
             self._closing.wait(1.0 / RATE)
 
     def _refresh(self) -> None:
-        if self._wanted is not None:
-            wanted, self._wanted = self._wanted, None
-            self._engine.go(wanted)
         status = self._engine.status
         recorded = self._records.describe()
         if status.number != self._built:
@@ -439,7 +433,8 @@ class Panel:
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
-        _set(self.time, "value", status.step)
+        if time() - self.time.update_timestamp > REST:
+            _set(self.time, "value", status.step)
         names = tuple(name or TRUNK for name, *_ in status.branches)
         if tuple(self.branches.options) != names:
             self.branches.options = names
