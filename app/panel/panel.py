@@ -412,9 +412,10 @@ class Panel:
         pick = self._view.describe_pick(status) if self._view is not None else ""
         self.controls.show(status.settings)  # always: one that somebody was at is left for later
         self._own.busy = True
-        for key, box in self.filters.items():
-            if time() - box.update_timestamp > REST:
-                _set(box, "value", key in status.settings.filters)
+        shows = [(box, key in status.settings.filters) for key, box in self.filters.items()]
+        for handle, value in [*shows, (self.time, status.step)]:
+            if time() - handle.update_timestamp > REST:
+                _set(handle, "value", value)
         self._own.busy = False
         shown = (status.changed, recorded, self._told(), pick)
         if shown == self._shown and not status.playing:
@@ -433,8 +434,6 @@ class Panel:
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
         _set(self.table, "content", now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
-        if time() - self.time.update_timestamp > REST:
-            _set(self.time, "value", status.step)
         names = tuple(name or TRUNK for name, *_ in status.branches)
         if tuple(self.branches.options) != names:
             self.branches.options = names

@@ -75,12 +75,12 @@ def live(directory, *arguments):
         running.file.close()
 
 
-def replayed(directory, script, *more):
+def replayed(directory, script, *more, expected=0):
     code = "from app.cli import entry; import sys; sys.exit(entry())"
     arguments = [sys.executable, "-c", code, "run", "--replay", str(script), *more]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(arguments, cwd=directory, env=environment, capture_output=True, text=True, timeout=PATIENCE)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == expected, done.stderr
     return done.stderr + done.stdout
 
 
@@ -105,6 +105,9 @@ def test_it_starts_plays_listens_here_only_and_ends(tmp_path):
         assert script["branches"][0]["steps"] == steps
         assert Recording(tmp_path / "a.rrd").series("/plots/n_eff/dfs")[0].tolist() == list(range(1, steps + 1))
         assert "bit for bit" in replayed(tmp_path, "a.json")
+        script["branches"][0]["digest"] = "0"
+        (tmp_path / "other.json").write_text(json.dumps(script))
+        assert "NOT" in replayed(tmp_path, "other.json", expected=1)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

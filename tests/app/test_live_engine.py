@@ -7,6 +7,7 @@ import json
 import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,10 +21,11 @@ from app.live.script import Check, replay_of, script_of
 from app.live.settings import MOST, Desk, Settings, changed, described, first_settings
 from app.live.trend import Trend
 from app.summary import dump
+from app.types import heaviest_descendant
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.types import Noise, Params
-from tests.app.live import Notes, at, change
+from tests.app.live import PATIENCE, Notes, at, change
 
 KEYS = ("dfs", "fs2", "fs1")
 
@@ -371,8 +373,9 @@ def test_from_a_branch_back_to_the_first_run_and_on(live, source):
     np.testing.assert_array_equal(poses(notes.steps[-1]), plain[21].filters["dfs"].trace.weighted.s)
 
 
-def test_events_of_the_past_are_those_that_were_told(live):
+def test_events_of_the_past_are_those_that_were_told(live, monkeypatch):
     """Also what depends on what was before, such as loops that close; and nothing is lost by having gone back."""
+    monkeypatch.setattr("app.live.history.SNAPSHOTS", 1)  # so that most steps lie between two of them
     world = build("loop", features="landmarks")
     engine, notes = live(info_of(world, ("dfs",), particles=20))
     engine.step(240)
@@ -394,13 +397,33 @@ def test_events_of_the_past_are_those_that_were_told(live):
 
 
 def test_only_the_last_place_counts(live):
+    """Of those that were asked for while the session was busy; the others are not even computed."""
     engine, _ = live()
     engine.step(30)
     at(engine, 30)
+    gate, gone = threading.Event(), []
+
+    def watched(history):
+        go = history.go
+        history.go = lambda index, *more: (gone.append(index), go(index, *more))[1]
+        gate.wait(PATIENCE)
+
+    engine.call(watched)
     for index in range(29, 3, -1):
         engine.go(index)
-    status = at(engine, 4)
-    assert status.step == 4
+    gate.set()
+    assert at(engine, 4).step == 4
+    assert gone == [4]
+
+
+def test_a_particle_is_followed_to_its_heaviest_descendant():
+    """Resampled to (0, 2, 2, 3), then, for another number of particles, to its numbers 1, 2, 3 in this order."""
+    before = SimpleNamespace(trace=SimpleNamespace(weighted=SimpleNamespace(log_w=np.zeros(4)), selected=[0, 2, 2, 3]))
+    before.trace.selected = np.array(before.trace.selected)
+    weighted = SimpleNamespace(log_w=np.log([0.2, 0.5, 0.3]))
+    after = SimpleNamespace(trace=SimpleNamespace(weighted=weighted, resized=np.array([1, 2, 3])))
+    found = [heaviest_descendant(before, after, particle) for particle in (-1, 0, 1, 2, 3, 4)]
+    assert found == [None, None, None, 1, 2, None]
 
 
 def test_there_are_not_too_many_branches(live):
@@ -529,6 +552,7 @@ def test_a_replay_is_the_session_bit_for_bit(live, source):
         )
         session.run(info, [check], replay.session_changes())
         assert "bit for bit" in check.told()
+        assert check.same
         was = {s.step.index: s for s in notes.steps if s.branch == name}
         last = list(session.steps(info, replay.session_changes()))[-1]
         for key, update in was[replay.steps].step.filters.items():
@@ -536,6 +560,7 @@ def test_a_replay_is_the_session_bit_for_bit(live, source):
         other = Check(replay._replace(digest="0"))
         session.run(info, [other], replay.session_changes())
         assert "NOT" in other.told()
+        assert not other.same
 
 
 @pytest.mark.parametrize(

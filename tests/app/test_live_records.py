@@ -155,6 +155,44 @@ def test_a_recording_has_every_step_and_the_script_beside_it(engine, tmp_path):
     assert [b["name"] for b in script["branches"]] == ["", "15-particles-30"]
 
 
+def test_a_branch_is_recorded_with_its_own_settings(engine, monkeypatch):
+    """And not before it has a step."""
+    made = []
+
+    class Told:
+        def __init__(self, info, *_):
+            made.append(("", info))
+
+        def fork(self, info, name):
+            made.append((name, info))
+            return self
+
+        def step(self, step, detail):
+            made.append(step.index)
+
+        def close(self):
+            made.append("closed")
+
+    monkeypatch.setattr("app.recording.session.Writer", Told)
+    engine.add(SessionWriter(None))
+    engine.step(3)
+    at(engine, 3)
+    engine.fork("nothing comes of it")
+    change(engine, particles=33, noise__range=0.25, filters=("dfs", "ekf"))
+    engine.go(2)
+    at(engine, 2)
+    change(engine, particles=33, noise__range=0.25, filters=("dfs", "ekf"))
+    engine.step()
+    at(engine, 3)
+    engine.close(PATIENCE)
+    (_, first), *steps, (name, info), last, closed = made
+    assert (steps, last, closed) == ([1, 2, 3], 3, "closed")
+    assert first.params.particles == 10
+    assert name.startswith("2-particles-33")
+    assert (info.params.particles, info.noise.range) == (33, 0.25)
+    assert [estimator.key for estimator in info.filters] == ["dfs", "ekf"]
+
+
 def test_a_second_recording_overwrites_nothing(engine, tmp_path):
     records = records_of(engine, tmp_path)
     for expected in ("x.rrd", "x-2.rrd", "x-3.rrd"):

@@ -165,9 +165,9 @@ def test_controls_follow_the_desk(live):
     change(engine, particles=230, resample_below=0.25, noise__range=0.125, resampler="residual", filters=("fs1", "ekf"))
     soon(lambda: bound(panel, "particles").handle.value == 230)
     soon(lambda: bound(panel, "resampler").handle.value == "residual")
-    assert bound(panel, "particles", slider=False).handle.value == 230
-    assert bound(panel, "resample_below").handle.value == 0.25
-    assert bound(panel, "noise.range").handle.value == 0.125
+    soon(lambda: bound(panel, "particles", slider=False).handle.value == 230)
+    soon(lambda: bound(panel, "resample_below").handle.value == 0.25)
+    soon(lambda: bound(panel, "noise.range").handle.value == 0.125)
     soon(lambda: [key for key, box in panel.filters.items() if box.value] == ["fs1", "ekf"])
     assert engine.desk.read().filters == ("fs1", "ekf")  # showing it has changed nothing
 
