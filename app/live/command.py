@@ -131,7 +131,7 @@ class Workbench:
         self.records = Records(
             self.engine,
             options.record.parent if options.record else Path(),
-            lambda path: SessionWriter(partial(FileStream, path)),
+            lambda path: SessionWriter(partial(FileStream, path, index=False)),  # nobody knows for how long
             check_path,
         )
         if options.record is not None:

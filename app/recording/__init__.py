@@ -13,7 +13,8 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /world/<filter>/map/bands       walls: 2-sigma bands of their lateral offset and angle
     /world/<filter>/maps            features of the maps of all particles; walls that they share are drawn once
     /world/<filter>/segments        walls: the pieces that the best particle saw, coloured: matched, new, rejected
-    /world/<filter>/picked          a particle that somebody chose in the panel: pose, ellipse, path; picked/map its map
+    /world/<filter>/picked          a particle that somebody chose in the panel: pose, ellipse, path,
+                                    weight; picked/map its map
     /world/<filter>/associations    from where it saw something to what it took it for; hidden until switched on
     /world/<filter>/path            path of the best particle
     /world/<filter>/lineages        all paths that lead to a living particle

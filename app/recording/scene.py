@@ -174,10 +174,10 @@ def outline(s: Floats, P: Floats) -> Floats:
     return s[:2] + (SIGMAS * half * ROUND) @ np.array([[c, q], [-q, c]])
 
 
-def picked(s: Floats, P: Floats, way: Floats, style: Style) -> list[Any]:
-    """A particle that somebody looks at: its pose, its ellipse, and its path (T, >= 2)."""
+def picked(s: Floats, P: Floats, way: Floats, label: str, style: Style) -> list[Any]:
+    """A particle that somebody looks at: its pose, its ellipse, its path (T, >= 2), and what is said of it."""
     z = style.z(PARTICLES) + 0.5 * style.lift
-    return [points(s[None], z), lines([outline(s, P), way], z)]
+    return [points(s[None], z), rr.Points3D.from_fields(labels=[label]), lines([outline(s, P), way], z)]
 
 
 def robot(pose: Floats, z: float, length: float) -> tuple[rr.Points3D, rr.Arrows3D]:

@@ -125,11 +125,16 @@ OpenStream = Callable[["rrb.Blueprint", str], Stream]
 
 
 class FileStream(Stream):
-    """Writes a file, and sends nothing anywhere else."""
+    """Writes a file, and sends nothing anywhere else.
 
-    def __init__(self, path: Path, blueprint: rrb.Blueprint, name: str) -> None:
+    With an `index` at its end some programs find their way about it faster; but until then Rerun keeps it in memory,
+    some 2 kB for each entity in each half of a second.
+    """
+
+    def __init__(self, path: Path, blueprint: rrb.Blueprint, name: str, index: bool = True) -> None:
         check_path(path)
         self.path = path
+        self._index = index
         self._told = False
         super().__init__(blueprint, name)
 
@@ -150,7 +155,7 @@ class FileStream(Stream):
             )
 
     def close(self) -> None:
-        """Write what is left, and the index at the end of the file."""
+        """Write what is left."""
         self._end()
         self._pipe.join()
         self.check()
@@ -160,7 +165,7 @@ class FileStream(Stream):
             self._pipe = Pipe(self.path)
         except OSError as error:
             raise RecordingError(f"--record {self.path} cannot be written: {sentence(error)}") from None
-        self._rec.save(self._pipe.entrance, default_blueprint=blueprint)
+        self._rec.save(self._pipe.entrance, default_blueprint=blueprint, write_footer=self._index)
         self._pipe.seal()
 
 

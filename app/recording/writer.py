@@ -330,7 +330,8 @@ class Writer:
         self._picked, weighted, style = key, update.trace.weighted, self._styles[key]
         living = np.flatnonzero(update.trace.selected == k)  # a particle that dies in this step leaves no path
         way = update.genealogy.path(int(living[0])) if len(living) else weighted.s[[k, k]]
-        self._stream.log(f"world/{key}/picked", *scene.picked(weighted.s[k], weighted.P[k], way, style))
+        label = f"particle {k}, weight times K: {len(weighted.s) * math.exp(weighted.log_w[k]):.3g}"
+        self._stream.log(f"world/{key}/picked", *scene.picked(weighted.s[k], weighted.P[k], way, label, style))
         theta, _, _ = weighted.maps.features(k)
         self._stream.log(f"world/{key}/picked/map", *self._features.picked_map(theta, style))
 

@@ -50,7 +50,7 @@ def main() -> None:
         ):
             publishers = []
             if with_file:
-                publishers.append(Publisher(SessionWriter(partial(FileStream, path)), "wait", FILE_STEPS))
+                publishers.append(Publisher(SessionWriter(partial(FileStream, path, index=False)), "wait", FILE_STEPS))
             if with_stream:
                 publishers.append(Publisher(SessionWriter(host.open, live=True), "drop", VIEWER_STEPS))
             filters = [ESTIMATORS[key] for key in ("dfs", "fs2", "fs1")]
