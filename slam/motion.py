@@ -123,6 +123,59 @@ class Odometry(NamedTuple):
         return noise.odometry * np.stack([travel, travel, turn], axis=1)
 
 
+class Matched(NamedTuple):
+    """Increments that scan matching has corrected, with errors that depend on each other (5.2).
+
+    In a corridor the error lies along the corridor, whichever way the robot looks.  So the controls are not the
+    increment u itself but w with u = L w, whose errors are independent: the covariance of u is L D L^T, with L lower
+    triangular and ones on its diagonal.  That exists for every covariance, singular ones included.
+    """
+
+    sigma_0: float = 0.0
+    """[m] Deviations of the three controls, the square roots of D."""
+    sigma_1: float = 0.0
+    sigma_2: float = 0.0
+    l_10: float = 0.0
+    """What is below the diagonal of L."""
+    l_20: float = 0.0
+    l_21: float = 0.0
+
+    controls = 3
+
+    @staticmethod
+    def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
+        """h(s, w) = s (+) L w; dt does not matter."""
+        x, y = u[0], motion.l_10 * u[0] + u[1]
+        phi = motion.l_20 * u[0] + motion.l_21 * u[1] + u[2]
+        c, q = math.cos(s[2]), math.sin(s[2])
+        dx, dy = c * x - q * y, q * x + c * y
+        s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + phi))
+        H_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
+        H_u = (
+            (c - q * motion.l_10, -q, 0.0),
+            (q + c * motion.l_10, c, 0.0),
+            (motion.l_20, motion.l_21, 1.0),
+        )
+        return s_new, H_s, H_u
+
+    @staticmethod
+    def deviation(motion: Matched, u: Floats, noise: Noise) -> Floats:
+        """What the matching said; the believed noise of the odometry is in that already."""
+        return np.broadcast_to(np.array([motion.sigma_0, motion.sigma_1, motion.sigma_2]), u.shape)
+
+
+def matched(u: Floats, covariance: Floats) -> tuple[Matched, Floats]:
+    """The model and its controls (3,) for an increment u (3,) [m, m, rad] with a covariance (3, 3)."""
+    L, D = np.eye(3), np.zeros(3)
+    for j in range(3):  # L D L^T; a control without error takes nothing of the others
+        D[j] = max(covariance[j, j] - float(L[j, :j] ** 2 @ D[:j]), 0.0)
+        for i in range(j + 1, 3):
+            L[i, j] = (covariance[i, j] - float(L[i, :j] * L[j, :j] @ D[:j])) / D[j] if D[j] > 0.0 else 0.0
+    sigma = np.sqrt(D).tolist()
+    model = Matched(*sigma, float(L[1, 0]), float(L[2, 0]), float(L[2, 1]))
+    return model, np.linalg.solve(L, np.asarray(u, float))
+
+
 def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
     """s' (3,), H_s (3, 3), H_u (3, m) of one control tick of `dt` seconds (5, 21, 22)."""
     return type(motion).propagate(motion, s, u, dt)

@@ -37,7 +37,8 @@ class Program:
 
     def __init__(self, arguments: Sequence[str]) -> None:
         # With CI it sends no statistics about its use to anybody, and says nothing about them either.
-        environment = {**os.environ, "CI": "true", "NO_COLOR": "1", "RUST_LOG": "warn"}
+        self._folder = tempfile.TemporaryDirectory(prefix="dualslam-", ignore_cleanup_errors=True)  # what it leaves
+        environment = {**os.environ, "CI": "true", "NO_COLOR": "1", "RUST_LOG": "warn", "TMPDIR": self._folder.name}
         self._said = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115 - closed in `close`
         self._process = subprocess.Popen(
             ["/bin/sh", "-c", GUARD, "sh", str(binary()), *arguments],
@@ -71,3 +72,4 @@ class Program:
             os.killpg(self._process.pid, 9)  # its session has nobody else in it
             self._process.wait()
         self._said.close()
+        self._folder.cleanup()

@@ -11,13 +11,13 @@ import pytest
 
 from slam._jit import inline
 from slam.geometry import compose, wrap, wrap_all
-from slam.motion import Ackermann, Odometry, Unicycle, deviation, propagate
+from slam.motion import Ackermann, Matched, Odometry, Unicycle, deviation, matched, propagate
 from slam.types import Floats, Noise
 
 PI = math.pi
 DT = 0.2
 VEHICLE = Ackermann(wheelbase=2.83, ahead=3.78, left=0.5)  # a laser in front of the front axle, left of the middle
-MODELS = [Unicycle(), Ackermann(), VEHICLE, Odometry()]
+MODELS = [Unicycle(), Ackermann(), VEHICLE, Odometry(), Matched(0.1, 0.2, 0.3, 0.7, -0.2, 0.4)]
 HEADINGS = [0.0, 0.7, PI / 2, PI - 1e-4, -PI, -PI + 1e-4]
 
 
@@ -196,3 +196,15 @@ def test_deviation_of_odometry_grows_with_the_motion() -> None:
     expected = [[0.5, 0.5, 0.1], [0.0, 0.0, 0.05], [0.0, 0.0, 0.0], [0.5, 0.5, 0.1 * math.hypot(1.2, 1.0)]]
     np.testing.assert_allclose(found, expected, atol=1e-15)
     assert deviation(Odometry(), np.zeros((0, 3)), Noise()).shape == (0, 3)
+
+
+@pytest.mark.parametrize("rank", [3, 2, 1, 0])
+def test_a_matched_increment_has_the_covariance_that_it_is_said_to_have(rank: int) -> None:
+    rng = np.random.default_rng(rank)
+    half = rng.normal(0, [[0.2], [0.05], [0.01]], (3, rank))
+    covariance, u = half @ half.T, np.array([0.5, -0.1, 3.0])
+    motion, w = matched(u, covariance)
+    s, _, H_u = propagate(motion, (0.0, 0.0, 0.0), tuple(w), DT)
+    np.testing.assert_allclose(s, u, atol=1e-12)
+    sigma = deviation(motion, w[None], Noise())[0]
+    np.testing.assert_allclose(np.array(H_u) * sigma @ (np.array(H_u) * sigma).T, covariance, atol=1e-9)
