@@ -165,6 +165,12 @@ class Genealogy:
         return self._steps
 
     @property
+    def nbytes(self) -> int:
+        """Memory of the poses behind it, room for later ones included."""
+        store = self._store
+        return store.parent.nbytes + store.step.nbytes + store.root.nbytes + store.pose.nbytes
+
+    @property
     def particles(self) -> int:
         """K, how many live."""
         return self._particles

@@ -30,8 +30,8 @@ SNAPSHOTS = 96
 FEWEST = 8
 """However large they are."""
 
-SNAPSHOT_BYTES = 120e6
-"""Of all snapshots of all branches, about: with many particles and large maps there are fewer of them."""
+SNAPSHOT_BYTES = 160e6
+"""Of all snapshots of all branches, about: with many particles, large maps and long ancestries there are fewer of them."""
 
 MOST_BRANCHES = 32
 """Every one has a tree of its own in the recording."""
@@ -70,7 +70,8 @@ class Snapshots:
         if always:
             self._pinned.append(index)
         self._kept[index] = snapshot._replace(watch=copy.deepcopy(snapshot.watch))
-        size = sum(_bytes(key, _particles(state)) for key, (state, _) in snapshot.state.filters.items())
+        filters = snapshot.state.filters.items()
+        size = sum(_bytes(key, _particles(state)) + genealogy.nbytes for key, (state, genealogy) in filters)
         most = max(FEWEST, min(SNAPSHOTS, int(share * SNAPSHOT_BYTES / max(size, 1.0))))
         begin = min(self._kept)
         while len(self._kept) > most + len(self._pinned):

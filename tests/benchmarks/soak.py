@@ -23,7 +23,7 @@ from tests.app.browser import browser
 from tests.app.sockets import family
 from tests.app.test_live import Process
 
-PROCESS = 1200.0
+PROCESS = 1500.0
 """[MB] of the process itself, of which snapshots may have a part (`app.live.history`)."""
 
 SERVER = 900.0
