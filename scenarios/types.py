@@ -29,6 +29,17 @@ class Step(NamedTuple):
     """(3,) true pose at `frame.time`; None where nobody knows.  A heading that is not known is NaN."""
 
 
+class LogScans(NamedTuple):
+    """All scans of a laser log, of which the steps of a source may be a few."""
+
+    stamps: Floats
+    """(N,) [s] the log's own, in the order of the file; they may jitter."""
+    odometry: Floats
+    """(N, 3) [m, m, rad] pose of the robot at each scan, as its odometry reports it."""
+    kept: Ints
+    """(F,) for each step of the source its scan, increasing."""
+
+
 @dataclass(frozen=True)
 class Source:
     """A simulated world or a real log, ready to be filtered."""
@@ -55,6 +66,8 @@ class Source:
     """Sentences on what was odd in the input, each naming file and line."""
     options: dict[str, Any] = field(default_factory=dict)
     """The options that made this source, for `params` in summary and recording."""
+    scans: LogScans | None = None
+    """Of a laser log, what lies between its steps."""
 
     def params(self, **changes: Any) -> Params:
         """The parameters for this source: its own defaults and beliefs, then `changes`."""

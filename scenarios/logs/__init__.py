@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
-from scenarios.logs import mrclam, victoria_park
+from scenarios.logs import carmen, dpslam, mrclam, victoria_park
 from scenarios.logs.parts import dead_reckoning, part
 from scenarios.logs.text import Head, Role, read_head
 from scenarios.types import Source, SourceError
 
 __all__ = ["READERS", "dead_reckoning", "is_log", "part", "read_log"]
 
-READERS: tuple[ModuleType, ...] = (mrclam, victoria_park)
-"""A reader has `TITLE`, `EXPECTED` (a phrase for messages), `role(head)`, what a file is in its data set or None, and
-`read(place, files by role, robot)`."""
+READERS: tuple[ModuleType, ...] = (mrclam, victoria_park, carmen, dpslam)
+"""A reader has `TITLE`, `EXPECTED` (a phrase for messages), `ONE_FILE`, whether a log is one file, `role(head)`, what a
+file is in its data set or None, and `read(place, files by role, robot)`."""
 
 
 def read_log(
@@ -26,6 +26,9 @@ def read_log(
     every: int = 1,
 ) -> Source:
     """The log at `path`: the directory of a data set, or one of its files (plain or gzipped).
+
+    Of the laser logs in a directory that is the one that has not been corrected; of several such the one that is called
+    like the directory.
 
     robot: which one, for logs with several.  first, last, every: a part of the log (see `part`).
     Raises `SourceError` with one sentence that names file and line, value and what was expected.
@@ -69,6 +72,10 @@ def _recognise(place: Path) -> tuple[ModuleType, dict[Role, Path], Role | None]:
         inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
         hint = f" (its directories: {', '.join(inside[:5])})" if inside else ""
         raise SourceError(f"{place}: no data set in this directory{hint}; expected {expected}")
+    if reader.ONE_FILE:
+        head = _only_log(place, reader, heads) if given is None else given
+        role = reader.role(head)
+        return reader, {role: head.path}, role
     # Two files may have one role: Victoria Park comes with variants of its dead reckoning and GPS.  The file that was
     # asked for wins, then one that has the role for its name, then the largest.
     ranked = [
@@ -78,6 +85,22 @@ def _recognise(place: Path) -> tuple[ModuleType, dict[Role, Path], Role | None]:
     ]
     files = {role: path for _, role, path in sorted(ranked)}
     return reader, files, None if given is None else reader.role(given)
+
+
+def _only_log(folder: Path, reader: ModuleType, heads: list[Head]) -> Head:
+    """The log that is meant by a directory which may have corrected versions and others beside it."""
+    by_kind: dict[str, list[Head]] = {}
+    for head in heads:
+        if (role := reader.role(head)) is not None:
+            by_kind.setdefault(role.kind, []).append(head)
+    logs = by_kind.get("log") or next(iter(by_kind.values()))
+    like_folder = [head for head in logs if head.path.name.partition(".")[0] == folder.absolute().name]
+    exact = [head for head in like_folder if head.path.name.removesuffix(".gz").count(".") < 2]
+    for chosen in (logs, like_folder, exact):
+        if len(chosen) == 1:
+            return chosen[0]
+    names = ", ".join(head.path.name for head in logs)
+    raise SourceError(f"{folder}: {len(logs)} logs in this directory, {names}; expected one of these files")
 
 
 def _reader_of(*heads: Head) -> ModuleType | None:

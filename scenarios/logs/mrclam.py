@@ -25,6 +25,7 @@ from slam.types import Floats, Frame, Ints, Noise
 
 TITLE = "UTIAS MRCLAM"
 EXPECTED = "UTIAS MRCLAM (Robot<N>_Odometry, _Measurement, _Groundtruth, Barcodes, Landmark_Groundtruth)"
+ONE_FILE = False
 
 ROBOTS = range(1, 6)
 """Subjects that are robots; larger numbers are landmarks."""

@@ -41,6 +41,8 @@ class Head(NamedTuple):
     """(n, c) the first lines of numbers, all of the commonest length; (0, 0) if there are none."""
     first_line: str
     """The first line that is neither blank nor a comment; empty if there is none."""
+    words: frozenset[str] = frozenset()
+    """What each line that is neither blank nor a comment begins with."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ def read_head(path: Path) -> Head:
         comments="\n".join(comments).lower(),
         rows=np.array([row for row in rows if len(row) == width], dtype=float).reshape(lengths.count(width), width),
         first_line=content[0].strip() if content else "",
+        words=frozenset(line.split(None, 1)[0] for line in content),
     )
 
 
@@ -115,7 +118,7 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
     A last line that is cut short, and gzip data that end too early, become warnings.  Raises `SourceError`, naming
     file and line, for anything else that is not such a row, and for a file that cannot be read or has no row.
     """
-    data, cut = _read_all(path)
+    data, cut = read_all(path)
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise SourceError(f"{path}:{line}: binary data; expected text with {_expected(columns)}")
@@ -182,7 +185,7 @@ def _decimals(number: str) -> int:
     return len(number.partition(".")[2])
 
 
-def _read_all(path: Path) -> tuple[bytes, bool]:
+def read_all(path: Path) -> tuple[bytes, bool]:
     """The content of a file, unpacked if it begins like gzip, and whether its gzip data are cut short."""
     data = _open_and_read(path)
     if not data.startswith(GZIP_MAGIC):

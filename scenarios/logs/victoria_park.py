@@ -21,6 +21,7 @@ from slam.types import UNKNOWN_TAG, Floats, Frame, Noise
 
 TITLE = "Victoria Park"
 EXPECTED = "Victoria Park (dead reckoning: t speed steering; trees: t range bearing diameter; GPS: t x y)"
+ONE_FILE = False
 
 VEHICLE = Ackermann(wheelbase=2.83, ahead=3.78, left=0.5)
 """The pose is that of the laser, 3.78 m ahead of the rear axle and 0.5 m left of the centre line.

@@ -336,7 +336,7 @@ UNUSABLE = {
     ),
     "park, no trees": (broken_park("trees", "# none\n"), r"trees\.txt: no rows; expected lines with 4 columns"),
     "empty file": (one_file(b""), r"some\.log: no log of a known format, it holds no line of text; expected UTIAS"),
-    "another format": (one_file(b"FLASER 2 1.0 2.0\n"), r"some\.log: no log of a known format.*'FLASER 2 1\.0 2\.0'"),
+    "another format": (one_file(b"VERTEX_SE2 0 1.0 2.0\n"), r"some\.log: no log of a known format.*'VERTEX_SE2 0 1\.0"),
     "garbage": (one_file(bytes(range(256)) * 64), r"some\.log: no log of a known format"),
     "garbage gzip": (one_file(b"\x1f\x8b" + bytes(range(256))), r"some\.log: no log of a known format"),
     "garbage in a known name": (one_file(b"\x00\xff" * 99, "Robot1_Odometry.dat"), r"no Robot1_Measurement"),

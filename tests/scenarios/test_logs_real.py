@@ -73,7 +73,7 @@ def test_a_file_of_victoria_park_stands_for_it(shared_data: Path, name: str) -> 
     assert len(read_log(shared_data / "victoria-park" / name).steps) == 7230
 
 
-@pytest.mark.parametrize("name", ["car-park", "intel", "mrclam", "fr101/fr101.log.gz"])
+@pytest.mark.parametrize("name", ["car-park", "mrclam", "mit-killian/mit-killian.g2o.gz", "intel/intel.relations.gz"])
 def test_other_data_are_refused_in_one_sentence(shared_data: Path, name: str) -> None:
     with pytest.raises(ValueError, match="expected") as caught:
         read_log(shared_data / name)
