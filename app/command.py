@@ -63,7 +63,7 @@ COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "worlds": Worlds, "study":
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""
 
-NOT_YET = {"--matching", "--relations"}
+NOT_YET = {"--matching"}
 """Options whose names are settled before they do anything."""
 
 

@@ -15,6 +15,7 @@ import tyro
 
 from app import values
 from app.errors import UsageError
+from scenarios.logs.keyframes import USUAL as KEYFRAME
 from scenarios.types import Source
 from slam import presets
 from slam.features import Point
@@ -150,6 +151,15 @@ class LogOptions:
     """Last observing step that is used."""
     every: Annotated[int | None, values.whole("--every", "N", Interval(1)), default("1")] = None
     """Use every N-th observing step."""
+    keyframe: Annotated[
+        tuple[float, float] | None,
+        values.pair("--keyframe", "METRES,DEGREES", Interval(0, 1e6)),
+        default(f"{KEYFRAME[0]:g},{math.degrees(KEYFRAME[1]):g} for logs of a laser"),
+    ] = None
+    """Logs of a laser: of the scans that are used, only those between which the robot has gone or turned that far; 0,0
+    is every one."""
+    reference: Annotated[Path | None, values.path("--reference", "FILE"), default("what the log has")] = None
+    """Logs of a laser: true poses, as lines of scan, time stamp, x, y and heading."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from rich.text import Text
 
 from app.colours import of_filter
 from app.compiling import CompileClock
+from app.relations import PathErrors
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
 from slam.features import Point
@@ -86,6 +87,9 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     console.print()
     print_whole(console, table(summary))
     console.print()
+    if summary.paths is not None:
+        print_whole(console, relations_table(summary.paths, {key: s.title for key, s in summary.filters.items()}))
+        console.print()
     if summary.steps and not summary.observed:
         thing = "landmark" if isinstance(info.source.feature, Point) else "wall"
         console.print(f"no {thing} was seen in any of these steps: all of this is dead reckoning", style="yellow")
@@ -120,6 +124,22 @@ def table(summary: Summary) -> Table:
         cells = [cell(series) for series in summary.filters.values()]
         if any(cells):
             result.add_row(name, *(text or "-" for text in cells))
+    return result
+
+
+def relations_table(paths: PathErrors, titles: Mapping[str, str]) -> Table:
+    """A row for odometry and each filter: how far its path is off the relations, and by what angle."""
+    result = Table(box=None, padding=(0, 2, 0, 0), show_edge=False)
+    result.add_column("relations")
+    for name in ("mean", "deviation", "median", "95 %", "largest", "used", "left out"):
+        result.add_column(name, justify="right")
+    for key, errors in paths.found().items():
+        title = Text(titles[key], style=f"bold {_style(key)}") if key in titles else Text(key)
+        cells = ["-"] * 5
+        if errors.translation_m is not None and errors.rotation_rad is not None:
+            both = zip(errors.translation_m, errors.rotation_rad, strict=True)
+            cells = [f"{_number(metres)} m {_number(math.degrees(angle))}°" for metres, angle in both]
+        result.add_row(title, *cells, str(errors.used), str(errors.left_out))
     return result
 
 

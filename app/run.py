@@ -28,6 +28,7 @@ from app.options import (
     default,
     parameters,
 )
+from app.relations import PathErrors, relations_of
 from app.sources import LogParts, load
 from app.summary import Summary
 from app.types import Observer, SessionInfo, SessionStep
@@ -72,6 +73,8 @@ class Run(SessionOptions):
 
     align: bool = False
     """Move the whole path rigidly onto the truth before errors are taken."""
+    relations: Annotated[Path | None, values.path("--relations", "FILE"), default("none")] = None
+    """Logs of a laser: relations between two scans (Kuemmerle et al., 2009), by which to judge the paths in the end."""
     replay: Annotated[Path | None, values.path("--replay", "SESSION.json"), default("nothing")] = None
     """Instead of a world: run a live session again, as it was, headless, and say whether it is the same bit for bit."""
     branch: Annotated[str, values.word("NAME"), default("the first run")] = ""
@@ -97,11 +100,11 @@ class Run(SessionOptions):
 
     def _replay(self, own: dict[str, str]) -> int:
         """The session that was saved, with every filter that was ever on."""
-        given = dataclasses.replace(self, replay=None, branch="", output=Outputs(), align=False)
+        given = dataclasses.replace(self, replay=None, branch="", output=Outputs(), align=False, relations=None)
         if given != Run() or own:
             raise UsageError(
                 "--replay does what the session did; expected no world and no other options beside it than "
-                "--branch, --align, --record, --summary and --trajectory"
+                "--branch, --align, --relations, --record, --summary and --trajectory"
             )
         assert self.replay is not None
         _check(self.output, str(self.replay))
@@ -122,19 +125,21 @@ class Run(SessionOptions):
     def _show(self, info: SessionInfo, changes: Sequence[session.Change] = (), more: Sequence[Observer] = ()) -> int:
         err = Console(stderr=True, highlight=False)
         out = err if is_stdout(self.output.summary) else Console(highlight=False)  # JSON is not mixed with a table
-        for warning in info.source.warnings:
+        relations = None if self.relations is None else relations_of(self.relations, info.source)
+        for warning in (*info.source.warnings, *(relations.warnings if relations else ())):
             err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
-        return self._run(info, changes, more, out, err)
+        summary = Summary(self.output.summary, self.align, None if relations is None else PathErrors(relations))
+        return self._run(info, summary, changes, more, out, err)
 
     def _run(
         self,
         info: SessionInfo,
+        summary: Summary,
         changes: Sequence[session.Change],
         more: Sequence[Observer],
         out: Console,
         err: Console,
     ) -> int:
-        summary = Summary(self.output.summary, align=self.align)
         outputs = self._outputs(summary)
         observers: list[Observer] = [*outputs, *more, report.ProgressBar(err)]
         if self.output.summary is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import math
 import re
 import shlex
 import textwrap
@@ -16,6 +17,8 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 from app.errors import UsageError, listed, suggestion
 from scenarios.indoor import WALLS_ONLY
 from scenarios.logs import part, read_log
+from scenarios.logs.keyframes import USUAL, keyframes
+from scenarios.logs.reference import with_reference
 from scenarios.registry import WorldEntry, build, worlds
 from scenarios.types import Source, SourceError
 
@@ -30,6 +33,9 @@ class LogParts(NamedTuple):
     first: int | None = None
     last: int | None = None
     every: int | None = None
+    keyframe: tuple[float, float] | None = None
+    """[m, degrees]"""
+    reference: Path | None = None
 
 
 class WorldOption(NamedTuple):
@@ -62,8 +68,16 @@ def load(name: str, own: Mapping[str, str], parts: LogParts) -> Source:
         raise UsageError(f"{name} is a recording; open it with: rerun {shlex.quote(name)}")
     with _as_typed({f"robot {parts.robot}": f"robot {parts.robot} (--robot)"}):
         log = read_log(path, robot=parts.robot)
+    if log.scans is None:
+        _not_for(name, {"--keyframe": parts.keyframe, "--reference": parts.reference}, "logs of a laser")
+    if parts.reference is not None:
+        log = with_reference(log, parts.reference)
     with _as_typed({"last frame": "--to", "first frame": "--from"}):
-        return part(log, parts.first, parts.last, parts.every or 1)
+        log = part(log, parts.first, parts.last, parts.every or 1)
+    if log.scans is None:
+        return log
+    distance, turn = USUAL if parts.keyframe is None else (parts.keyframe[0], math.radians(parts.keyframe[1]))
+    return keyframes(log, distance, turn)
 
 
 @contextmanager
@@ -96,10 +110,14 @@ def _unknown(name: str) -> str:
 
 
 def _only_for_logs(name: str, parts: LogParts) -> None:
-    options = dict(zip(("--robot", "--from", "--to", "--every"), parts, strict=True))
+    options = ("--robot", "--from", "--to", "--every", "--keyframe", "--reference")
+    _not_for(name, dict(zip(options, parts, strict=True)), "logs")
+
+
+def _not_for(name: str, options: Mapping[str, Any], kind: str) -> None:
     for option, value in options.items():
         if value is not None:
-            raise UsageError(f"{option} does not apply to {name}: it is for logs")
+            raise UsageError(f"{option} does not apply to {name}: it is for {kind}")
 
 
 def option_names(entry: WorldEntry) -> dict[str, str]:

@@ -4,6 +4,8 @@
      "steps": n, "complete": bool,      steps done; whether these are all that were asked for
      "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool},
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
+     "relations": {"file": text, "relations": n, key or "odometry": {"used", "left_out",
+        "translation_m": {"mean", "std", "median", "p95", "max"} | null, "rotation_rad": the same}, ...} | null,
      "filters": {key: {
         "title": text, "particles": K (at the end),
         arrays, one entry per observing step:
@@ -25,6 +27,8 @@
   did not pair with what its map holds, `wrong` those that it paired with something else.
 - `events`: what was depleted, lost, closed or went wrong, and when; each resampling with its reason.  The key is that
   of a filter, or empty for the session: nothing was seen for half a minute.
+- `relations`: with `--relations`, of the path of the best particle's lineage at the end, and of the odometry of the
+  log alone; `left_out` are those whose scans are not in the part of the log that was run.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
 - `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time.
@@ -44,6 +48,7 @@ import numpy as np
 
 from app.events import Watch
 from app.files import write_whole
+from app.relations import PathErrors
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
@@ -102,9 +107,11 @@ _SERIES = {
 class Summary:
     """An observer that keeps the numbers of a session, none of its arrays, and writes them when it ends."""
 
-    def __init__(self, path: Path | None = None, align: bool = False) -> None:
+    def __init__(self, path: Path | None = None, align: bool = False, paths: PathErrors | None = None) -> None:
         self.path = path
         self.align = align
+        self.paths = paths
+        """What judges the paths by relations, if somebody gave some."""
         self.steps: list[int] = []
         self.times: list[float] = []
         self.truth: list[Floats] = []
@@ -121,6 +128,8 @@ class Summary:
         self.info = info
         self.filters = {f.key: FilterSeries(f.title) for f in info.filters}
         self._watch = Watch({f.key: f.title for f in info.filters})
+        if self.paths is not None:
+            self.paths.begin(info)
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
@@ -132,6 +141,8 @@ class Summary:
             (step.index, event.who, event.text) for event in self._watch.step(step) if event.kind != "changed"
         ]
         self.observed += len(step.frame.z)
+        if self.paths is not None:
+            self.paths.step(step)
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
         for key, update in step.filters.items():
             self.filters[key].add(update, tagged)
@@ -165,8 +176,24 @@ class Summary:
             "params": params,
             "changes": [list(change) for change in self.changes],
             "events": [list(event) for event in self.events],
+            "relations": self._relations(),
             "filters": {key: self._filter(series) for key, series in self.filters.items()},
         }
+
+    def _relations(self) -> dict[str, Any] | None:
+        if self.paths is None:
+            return None
+        relations = self.paths.relations
+        found = {
+            key: {
+                "used": errors.used,
+                "left_out": errors.left_out,
+                "translation_m": errors.translation_m and errors.translation_m._asdict(),
+                "rotation_rad": errors.rotation_rad and errors.rotation_rad._asdict(),
+            }
+            for key, errors in self.paths.found().items()
+        }
+        return {"file": str(relations.path), "relations": len(relations.times), **found}
 
     def errors(self, series: FilterSeries) -> dict[str, Floats]:
         """Series (T,) that depend on the truth, after alignment if that was asked for."""

@@ -7,6 +7,9 @@
     <filter>.svg          a picture of the same; map.svg: all filters in one
 
 A `.tum` line is `time x y z qx qy qz qw`, one for every observation, with the source's own stamp.  Metres.
+
+Of a laser log these are all its scans, not only the steps: between two steps poses go on by odometry, and in
+`<filter>.tum` fit both; `truth.tum` has the steps whose truth is known.  Lines are in the order of the stamps.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ import numpy as np
 from app.colours import TRUTH, of_filter
 from app.drawing import Layer, draw_map, map_layer, truth_layer
 from app.files import write_whole
-from app.types import SessionInfo, SessionStep, best_descendant
+from app.types import SessionInfo, SessionStep, best_descendant, best_path
+from scenarios.logs.keyframes import every_scan
 from slam.features import Wall
 from slam.features.wall import ends
 from slam.types import UNKNOWN_TAG, Floats, Ints
@@ -33,7 +37,6 @@ class Trajectory:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
-        self._times: list[float] = []
         self._truth: list[tuple[float, Floats]] = []
         self._odometry: list[Floats] = []
         self._online: dict[str, list[Floats]] = {}
@@ -46,11 +49,9 @@ class Trajectory:
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
-        time = float(step.frame.time)
-        self._times.append(time)
         self._odometry.append(step.odometry)
         if step.truth is not None:
-            self._truth.append((time, step.truth))
+            self._truth.append((float(step.frame.time), step.truth))
         for key, update in step.filters.items():
             self._online[key].append(update.measures.estimate)
         self._last = step
@@ -62,7 +63,7 @@ class Trajectory:
         self.directory.mkdir(parents=True, exist_ok=True)
         truth_times = np.array([time for time, _ in self._truth])
         truth = np.array([pose for _, pose in self._truth]).reshape(-1, 3)
-        self._write("odometry.tum", tum(self._times, np.array(self._odometry)))
+        self._write_path("odometry.tum", np.array(self._odometry))
         if len(truth):
             self._write("truth.tum", tum(truth_times, truth))
             truth = with_gaps(truth_times, truth)
@@ -70,10 +71,10 @@ class Trajectory:
         for estimator in self._info.filters:
             key, update = estimator.key, self._last.filters[estimator.key]
             k = best_descendant(update)
-            path = update.genealogy.path(k)[1:]  # without the pose before the first step
+            path = best_path(update)
             theta, Sigma, tags = update.trace.resampled.maps.features(k)
-            self._write(f"{key}.tum", tum(self._times, path))
-            self._write(f"{key}-online.tum", tum(self._times, np.array(self._online[key])))
+            self._write_path(f"{key}.tum", path)
+            self._write_path(f"{key}-online.tum", np.array(self._online[key]), fit=False)
             feature = self._info.source.feature
             self._write(f"{key}.geojson", geojson(estimator.title, path, feature, theta, Sigma, tags))
             layers[key] = map_layer(estimator.title, of_filter(key), path, feature, theta, Sigma)
@@ -84,6 +85,12 @@ class Trajectory:
         true_map = self._info.source.true_map
         backdrop = truth_layer("truth", TRUTH, truth, np.zeros((0, 2)) if true_map is None else true_map.theta)
         return draw_map(f"{self._info.source.title}, seed {self._info.seed}", backdrop, layers)
+
+    def _write_path(self, name: str, poses: Floats, fit: bool = True) -> None:
+        """The poses (T, 3) of the steps, with those of the scans of a log that lie between, ordered by their stamps."""
+        stamps, poses = every_scan(self._info.source, poses, fit)
+        order = np.argsort(stamps, kind="stable")
+        self._write(name, tum(stamps[order], poses[order]))
 
     def _write(self, name: str, text: str) -> None:
         write_whole(self.directory / name, text)

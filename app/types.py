@@ -31,6 +31,11 @@ def best_descendant(update: FilterUpdate) -> int:
     return int(np.argmax(trace.weighted.log_w[trace.selected]))
 
 
+def best_path(update: FilterUpdate) -> Floats:
+    """(T, 3) the path of its lineage as it is known now, without the pose before the first step."""
+    return update.genealogy.path(best_descendant(update))[1:]
+
+
 def heaviest_descendant(before: FilterUpdate, after: FilterUpdate, particle: int) -> int | None:
     """Of a particle of `Trace.weighted` of `before` its heaviest descendant one step later; None if it died."""
     if not 0 <= particle < len(before.trace.weighted.log_w):

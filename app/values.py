@@ -60,6 +60,18 @@ def reals(option: str, metavar: str, limits: Interval) -> Any:
     )
 
 
+def pair(option: str, metavar: str, limits: Interval) -> Any:
+    """Two numbers within limits, with a comma between them."""
+
+    def read(text: str) -> tuple[float, float]:
+        found = text.split(",")
+        if len(found) != 2:
+            raise UsageError(f"{option} is {text!r}; expected two numbers, {metavar}")
+        return _number(option, found[0], float, limits), _number(option, found[1], float, limits)
+
+    return _spec(metavar, read)
+
+
 def choice(option: str, names: Sequence[str]) -> Any:
     """One of a few names."""
     return _spec("|".join(names), lambda text: _choose(option, text, names))
@@ -79,7 +91,7 @@ def choices(option: str, metavar: str, names: Sequence[str]) -> Any:
 
 
 def path(option: str, metavar: str) -> Any:
-    """A path to write to."""
+    """A path to read from or to write to."""
 
     def read(text: str) -> Path:
         if not text:

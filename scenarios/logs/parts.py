@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from scenarios.logs.odometry import carried
 from scenarios.types import Source, SourceError, Step
 from slam.geometry import compose, wrap
 from slam.motion import propagate
@@ -20,9 +21,9 @@ def part(source: Source, first: int | None = None, last: int | None = None, ever
     """The frames `first` to `last` (from 0, both included) of a source, and of these every `every`-th.
 
     The controls of frames that are left out go to the next frame that is kept.  The start pose is the truth of the
-    frame before; where that is not known in full, dead reckoning fitted to the truth within `ALIGN_OVER`; and where
-    there is none either, dead reckoning from the start of the log, with a warning.  Raises `SourceError` if no frame
-    is left.
+    frame before; where that is not known in full, dead reckoning fitted to the truth within `ALIGN_OVER`, for laser
+    logs from the nearest true pose; and where there is none either, dead reckoning from the start of the log, which for
+    laser logs is as good and for others deserves a warning.  Raises `SourceError` if no frame is left.
     """
     if first is None and last is None and every == 1:
         return source
@@ -41,12 +42,14 @@ def part(source: Source, first: int | None = None, last: int | None = None, ever
         u, dt = np.concatenate([f.u for f in frames]), np.concatenate([f.dt for f in frames])
         kept.append(Step(source.steps[i].frame._replace(u=u, dt=dt), source.steps[i].truth))
     start, warnings = (source.start, ()) if begin == 0 else _start(source, begin)
+    scans = source.scans and source.scans._replace(kept=source.scans.kept[begin : end + 1 : every])
     options = {"first": begin, "last": end, "every": every}
     return replace(
         source,
         steps=tuple(kept),
         start=start,
         warnings=(*source.warnings, *warnings),
+        scans=scans,
         options={**source.options, **options},
     )
 
@@ -67,6 +70,8 @@ def _start(source: Source, begin: int) -> tuple[Floats, tuple[str, ...]]:
     truth = source.steps[begin - 1].truth
     if truth is not None and np.isfinite(truth).all():
         return truth, ()
+    if source.scans is not None:
+        return _by_odometry(source, begin - 1), ()
     path = dead_reckoning(source)
     now = source.steps[begin - 1].frame.time
     near = [
@@ -84,3 +89,16 @@ def _start(source: Source, begin: int) -> tuple[Floats, tuple[str, ...]]:
     return path[begin - 1], (
         f"{source.name}: no truth around frame {begin}, so the part starts where dead reckoning from frame 0 ends",
     )
+
+
+def _by_odometry(source: Source, frame: int) -> Floats:
+    """(3,) the pose of a laser log at a frame, by odometry from the nearest true one; if there is none, as it says."""
+    assert source.scans is not None
+    odometry = source.scans.odometry[source.scans.kept]
+    known = np.array([i for i, step in enumerate(source.steps) if step.truth is not None], np.int64)
+    if not len(known):
+        return odometry[frame].copy()
+    nearest = known[np.argmin(np.abs(known - frame))]
+    truth = source.steps[nearest].truth
+    assert truth is not None
+    return carried(truth, odometry[nearest], odometry[frame])

@@ -127,7 +127,11 @@ BAD = [
     (["run", "loop", "--believed.range", "1e7"], ["--believed.range is 1e7", "1000000"]),
     (["run", "loop", "--noise.range", "inf"], ["--noise.range is inf", "a finite number"]),
     (["run", "field", "--layout-seed", "-1"], ["--layout-seed is -1"]),
-    (["run", "loop", "--relations", "x"], ["--relations is not there yet"]),
+    (["run", "loop", "--relations", "x"], ["--relations does not apply to loop", "logs of a laser"]),
+    (["run", "loop", "--reference", "x"], ["--reference does not apply to loop: it is for logs"]),
+    (["run", "loop", "--keyframe", "0,0"], ["--keyframe does not apply to loop: it is for logs"]),
+    (["run", "loop", "--keyframe", "0.25"], ["--keyframe is '0.25'; expected two numbers, METRES,DEGREES"]),
+    (["run", "loop", "--keyframe", "1,-8"], ["--keyframe is -8; expected a number between 0 and 1000000"]),
     (["run", "loop", "--matching", "x"], ["--matching is not there yet"]),
     (["run", "loop", "--summary", "\udcff.json"], ["--summary is '\\udcff.json'", "UTF-8"]),
     (["run", "\udcff"], ["'\\udcff'", "UTF-8"]),
@@ -223,7 +227,7 @@ def test_every_parameter_is_an_option():
 def test_fixed_names():
     """Scripts and lessons rely on these."""
     names = """filters particles seed steps association gate weighting inflate-r temper resampler resample-below
-    preset robot from to every align record summary trajectory noise.speed noise.turn noise.range noise.bearing
+    preset robot from to every keyframe reference relations align record summary trajectory noise.speed noise.turn noise.range noise.bearing
     noise.odometry noise.missing believed.odometry believed.speed believed.turn believed.range believed.bearing"""
     assert {f"--{name}" for name in names.split()} <= command_line.option_names(Run)
     assert {"--vehicle", "--period", "--layout", "--features"} <= all_world_options()
