@@ -12,9 +12,9 @@ from scenarios.types import Source, SourceError
 
 __all__ = ["READERS", "dead_reckoning", "is_log", "part", "read_log"]
 
-READERS: tuple[ModuleType, ...] = (mrclam, victoria_park, carmen, dpslam)
+READERS: tuple[ModuleType, ...] = (mrclam, carmen, dpslam, victoria_park)
 """A reader has `TITLE`, `EXPECTED` (a phrase for messages), `ONE_FILE`, whether a log is one file, `role(head)`, what a
-file is in its data set or None, and `read(place, files by role, robot)`."""
+file is in its data set or None, and `read(place, files by role, robot)`.  The one that asks least of a file is last."""
 
 
 def read_log(

@@ -17,8 +17,13 @@ from slam.motion import Odometry
 from slam.presets import BUILDING
 from slam.types import Floats, Frame, Ints, Noise, Scan
 
-BELIEVED = Noise(range=0.02, odometry=0.1)
-"""Deviations of a measured range, SICK lasers with steps of 1 to 5 cm, and of an increment of odometry."""
+BELIEVED = Noise(range=0.02, odometry=0.4)
+"""Deviations of a measured range, SICK lasers with steps of 1 to 5 cm, and of an increment of odometry.
+
+Real odometry errs in one direction for long, as independent errors do not, and so more is believed of each: with Dual
+FastSLAM, K = 100 and seed 0, relations of mit-csail are .28, .11 and .51 m off with .2, .4 and .8, those of intel 4.0,
+.26 and .16 m.
+"""
 
 TOP = 0.01
 """The share of the largest range of a log in which the values lie that stand for no return: 81.83 to 81.91 m, 51.05 to
