@@ -70,6 +70,7 @@ def test_schema(tmp_path):
         "params",
         "changes",
         "events",
+        "relations",
         "filters",
     ]
     assert (summary["schema"], summary["world"], summary["seed"]) == (SCHEMA, "loop", 2)

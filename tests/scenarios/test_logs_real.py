@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import functools
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scenarios.logs import dead_reckoning, read_log
+from scenarios.logs import dead_reckoning, part, read_log
+from scenarios.logs.keyframes import every_scan, keyframes
+from scenarios.logs.odometry import path_length
+from scenarios.logs.reference import with_reference
+from scenarios.logs.relations import read_relations
 from scenarios.types import Source
 from slam.geometry import wrap_all
+from slam.relations import relation_errors
+from slam.types import Floats
 
 
 def position_rmse(source: Source, path: np.ndarray) -> float:
@@ -71,6 +80,79 @@ def test_victoria_park_part_starts_near_its_gps(shared_data: Path) -> None:
 @pytest.mark.parametrize("name", ["dead_reckoning.txt.gz", "trees_rfs-slam.txt.gz", "gps.txt.gz"])
 def test_a_file_of_victoria_park_stands_for_it(shared_data: Path, name: str) -> None:
     assert len(read_log(shared_data / "victoria-park" / name).steps) == 7230
+
+
+LASER_LOGS = {
+    "mit-killian": (17480, {180}, 1911, 7677, 51.0),
+    "intel": (13631, {180}, 508, 2691, 81.8),
+    "mit-csail": (1988, {361}, 374, 424, 81.9),
+    "fr-clinic": (6917, {180, 181}, 1402, 4820, 81.8),
+    "fr101": (292, {360}, 209, 291, 81.9),
+    "dpslam-loop5": (551, {181}, 56, 550, 8.18),
+}
+"""Scans, beams, path by odometry [m], duration [s], what stands for no return [m]."""
+
+
+@pytest.fixture(scope="module")
+def laser_log(shared_data: Path) -> Callable[[str], Source]:
+    """A log by its directory, read once."""
+    return functools.lru_cache(lambda name: read_log(shared_data / name))
+
+
+@pytest.mark.parametrize("name", LASER_LOGS)
+def test_laser_logs(laser_log: Callable[[str], Source], name: str) -> None:
+    scans, beams, path, duration, silence = LASER_LOGS[name]
+    source = laser_log(name)
+    assert len(source.steps) == scans
+    found = [step.frame.scan for step in source.steps if step.frame.scan is not None]
+    assert {len(scan.ranges) for scan in found} == beams
+    assert source.scans is not None
+    assert path_length(source.scans.odometry) == pytest.approx(path, abs=0.6)
+    assert f"{scans} scans" in source.title
+    assert sum(float(step.frame.dt.sum()) for step in source.steps) == pytest.approx(duration, abs=1)
+    assert 0.99 * silence < source.max_range <= silence
+    missing = np.mean([np.isinf(scan.ranges).mean() for scan in found])
+    assert 0.01 < missing < 0.13
+    ahead = 0.22 if name == "fr-clinic" else 0.0
+    assert found[0].origin == pytest.approx([ahead, 0, 0])
+    truth = [step.truth for step in source.steps]
+    assert all((pose is not None) == (name == "fr101") for pose in truth)
+    if truth[-1] is not None:  # GMapping's poses, and odometry that ends elsewhere
+        assert np.hypot(*(truth[-1] - source.scans.odometry[-1])[:2]) > 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "odometry", "graph"),
+    [("mit-killian", 50.3, 0.039), ("intel", 7.37, 0.029), ("mit-csail", 1.68, 0.004), ("fr-clinic", 0.615, None)],
+)
+def test_relations_of_laser_logs(
+    shared_data: Path, laser_log: Callable[[str], Source], name: str, odometry: float, graph: float | None
+) -> None:
+    """Of raw odometry, of the poses of the optimised graph, and of keyframes that have these."""
+    source = laser_log(name)
+    assert source.scans is not None
+    stamps = source.scans.stamps
+    relations = read_relations(shared_data / name / f"{name}.relations.gz", stamps)
+
+    def mean(times: Floats, path: Floats) -> tuple[float, int]:
+        found = relation_errors(times, path, relations.times, relations.poses)
+        assert found.translation_m is not None
+        return found.translation_m.mean, found.left_out
+
+    assert mean(stamps, source.scans.odometry) == (pytest.approx(odometry, rel=0.002), 0)
+    if graph is None:
+        return
+    file = shared_data / name / f"{name}.ref-graph.txt.gz"
+    exact = np.loadtxt(file)
+    assert mean(exact[:, 1], exact[:, 2:])[0] == pytest.approx(graph, abs=0.0006)
+    few = keyframes(with_reference(source, file), 0.25, math.radians(8))
+    known = [i for i, step in enumerate(few.steps) if step.truth is not None]
+    first, last = known[0], known[-1]
+    few = part(few, first, last)
+    truth = [step.truth for step in few.steps]
+    assert sum(pose is None for pose in truth) < 0.01 * len(truth)
+    path = np.array([dead if pose is None else pose for pose, dead in zip(truth, dead_reckoning(few), strict=True)])
+    assert mean(*every_scan(few, path))[0] < graph + 0.02
 
 
 @pytest.mark.parametrize("name", ["car-park", "mrclam", "mit-killian/mit-killian.g2o.gz", "intel/intel.relations.gz"])

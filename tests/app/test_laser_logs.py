@@ -1,0 +1,191 @@
+"""`dualslam run` on laser logs: keyframes, relations, references, and a line for every scan."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import cli
+from scenarios.registry import build
+from slam.geometry import compose, invert
+from tests.scenarios.laser_logs import flaser, plain_log, write
+
+STEPS = 60
+KEYS = ("dfs", "fs2", "ekf")
+
+
+class Drive:
+    """A drive round a corner of the simulated corridors, as a log with odometry that turns too much."""
+
+    def __init__(self, folder: Path) -> None:
+        steps = build("loop", start=2.0).steps[:STEPS]
+        self.truth = np.array([step.truth for step in steps])
+        self.stamps = 1e9 + 0.5 * np.arange(STEPS)
+        self.stamps[20] = self.stamps[18] + 0.1  # a stamp that steps back, as real ones do
+        odometry = [self.truth[0]]
+        for a, b in zip(self.truth[:-1], self.truth[1:], strict=True):
+            odometry.append(compose(odometry[-1], compose(invert(a), b) * [1.02, 1.0, 1.05] + [0, 0, 0.001]))
+        self.odometry = np.array(odometry)
+        lines = []
+        for step, pose, stamp in zip(steps, self.odometry, self.stamps, strict=True):
+            assert step.frame.scan is not None
+            ranges = np.where(np.isinf(step.frame.scan.ranges), 81.91, step.frame.scan.ranges)
+            lines.append(flaser(ranges, pose, pose, stamp))
+        self.log = write(folder, "".join(lines), "drive.log")
+        self.pairs = [(0, 30), (10, 19), (20, 59), (35, 50)]
+        rows = [(self.stamps[i], self.stamps[k], compose(invert(self.truth[i]), self.truth[k])) for i, k in self.pairs]
+        text = "".join(f"{a:.6f} {b:.6f} {x:.6f} {y:.6f} 0 0 0 {yaw:.6f}\n" for a, b, (x, y, yaw) in rows)
+        self.relations = write(folder, text, "drive.relations")
+        poses = zip(self.stamps, self.truth, strict=True)
+        text = "".join(f"{i} {t:.6f} {x:.6f} {y:.6f} {h:.6f}\n" for i, (t, (x, y, h)) in enumerate(poses) if i % 3 == 0)
+        self.reference = write(folder, text, "drive.reference")
+
+    def off(self, path: np.ndarray) -> np.ndarray:
+        """(R,) [m] of each relation, by its definition."""
+        found = []
+        for i, k in self.pairs:
+            a, b = (compose(invert(poses[i]), poses[k]) for poses in (path, self.truth))
+            found.append(math.dist(a[:2], b[:2]))
+        return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    return Drive(tmp_path_factory.mktemp("drive"))
+
+
+def run(*arguments: object) -> int:
+    return cli.entry(["run", *map(str, arguments), "--particles", "20", "--filters", *KEYS])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("dualslam: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps (M,) and poses (M, 3)."""
+    table = np.loadtxt(path)
+    return table[:, 0], np.column_stack([table[:, 1:3], 2 * np.arctan2(table[:, 6], table[:, 7])])
+
+
+def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = tmp_path / "s.json"
+    options = ("--relations", drive.relations, "--reference", drive.reference, "--keyframe", "0.9,30")
+    assert run(drive.log, *options, "--summary", summary, "--trajectory", tmp_path) == 0
+    found = json.loads(summary.read_text())
+    assert found["steps"] < 0.7 * STEPS
+    assert found["params"]["options"]["keyframe"] == [0.9, pytest.approx(30)]
+
+    order = np.argsort(drive.stamps, kind="stable")
+    for name in (*KEYS, *(f"{key}-online" for key in KEYS), "odometry"):
+        stamps, _ = tum(tmp_path / f"{name}.tum")
+        np.testing.assert_allclose(stamps, drive.stamps[order], atol=1e-6)
+    stamps, _ = tum(tmp_path / "truth.tum")
+    assert len(stamps) == found["steps"]
+    _, odometry = tum(tmp_path / "odometry.tum")
+    np.testing.assert_allclose(odometry[:, :2], drive.odometry[order, :2], atol=1e-5)
+
+    relations = found["relations"]
+    assert relations["relations"] == 4
+    assert relations["file"] == str(drive.relations)
+    for key in ("odometry", *KEYS):
+        path = np.empty((STEPS, 3))
+        path[order] = tum(tmp_path / f"{key}.tum")[1]
+        errors = relations[key]
+        assert (errors["used"], errors["left_out"]) == (4, 0)
+        assert errors["translation_m"]["mean"] == pytest.approx(drive.off(path).mean(), abs=1e-4)
+        assert errors["translation_m"]["max"] == pytest.approx(drive.off(path).max(), abs=1e-4)
+        assert found["filters"].get(key, {}).get("position_mse", 0.0) < 0.5  # the reference is the truth
+    for key, error in (("ekf", "translation_m"), ("dfs", "rotation_rad")):
+        assert relations[key][error]["mean"] < 0.5 * relations["odometry"][error]["mean"]
+    out = capsys.readouterr().out
+    (line,) = [line for line in out.splitlines() if line.startswith("odometry ")]
+    assert f"{relations['odometry']['translation_m']['mean']:.3g} m" in line
+    assert f"{math.degrees(relations['odometry']['rotation_rad']['max']):.3g}°" in line
+    assert out.count("Dual FastSLAM") == 2  # in the table of filters, and in that of relations
+
+
+def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path) -> None:
+    summary = tmp_path / "s.json"
+    line = (drive.log, "--relations", drive.relations, "--from", 5, "--to", 21, "--summary", summary)
+    assert run(*line) == 0
+    relations = json.loads(summary.read_text())["relations"]
+    for key in ("odometry", *KEYS):
+        assert (relations[key]["used"], relations[key]["left_out"]) == (1, 3)
+    assert run(*line, "--steps", 2) == 0
+    relations = json.loads(summary.read_text())["relations"]
+    assert relations["dfs"] == {"used": 0, "left_out": 4, "translation_m": None, "rotation_rad": None}
+
+
+@pytest.mark.parametrize(
+    ("options", "keyframe", "steps"),
+    [
+        ((), (0.25, 8), STEPS),
+        (("--keyframe", "0,0"), (0, 0), STEPS),
+        (("--keyframe", "1,400"), (1, 400), STEPS // 3 + 1),
+    ],
+)
+def test_keyframes_from_the_command_line(
+    drive: Drive, tmp_path: Path, options: tuple[str, ...], keyframe: tuple[float, float], steps: int
+) -> None:
+    summary = tmp_path / "s.json"
+    assert run(drive.log, *options, "--summary", summary) == 0
+    found = json.loads(summary.read_text())
+    assert found["relations"] is None
+    assert found["steps"] == pytest.approx(steps, abs=0 if steps == STEPS else 3)
+    assert found["params"]["options"]["keyframe"] == pytest.approx(keyframe)
+
+
+def test_every_second_scan_is_a_step_and_every_scan_a_line(drive: Drive, tmp_path: Path) -> None:
+    assert run(drive.log, "--every", "2", "--trajectory", tmp_path, "--summary", tmp_path / "s.json") == 0
+    assert json.loads((tmp_path / "s.json").read_text())["steps"] == STEPS // 2
+    assert len(tum(tmp_path / "dfs.tum")[0]) == STEPS - 1  # the last one is beyond the last step
+
+
+def test_online_paths_do_not_know_what_comes(drive: Drive, tmp_path: Path) -> None:
+    """Between two steps they go on as odometry does, and are set right at the next."""
+    assert run(drive.log, "--keyframe", "2,360", "--trajectory", tmp_path) == 0
+    order = np.argsort(drive.stamps, kind="stable")
+    moved = {}
+    for name in ("dfs", "dfs-online", "odometry"):
+        path = np.empty((STEPS, 3))
+        path[order] = tum(tmp_path / f"{name}.tum")[1]
+        moved[name] = compose(invert(path[:-1]), path[1:])[:, :2]
+    as_odometry = {n: np.isclose(moved[n], moved["odometry"], atol=1e-4).all(axis=1) for n in ("dfs", "dfs-online")}
+    assert as_odometry["dfs-online"].mean() > 0.7
+    assert as_odometry["dfs"].mean() < 0.5
+
+
+def test_what_does_not_go_together(drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = write(tmp_path, "5.0 6.0 0 0 0 0 0 0\n", "other.relations")
+    assert "none of its 1 relations belong to the log" in refused(capsys, drive.log, "--relations", other)
+    assert "no.relations: cannot be read" in refused(capsys, drive.log, "--relations", tmp_path / "no.relations")
+    other = write(tmp_path, "0 5.0 0 0 0\n", "other.reference")
+    assert "expected a reference of this log" in refused(capsys, drive.log, "--reference", other)
+    assert "--relations does not apply to loop" in refused(capsys, "loop", "--relations", drive.relations)
+    assert "known, but nobody knows what was seen in drive" in refused(capsys, drive.log, "--association", "known")
+    assert "--from 60: expected 0 to 59" in refused(capsys, drive.log, "--from", "60")
+    park = tmp_path / "park"
+    park.mkdir()
+    rows = {"dead_reckoning": "{t:.3f} 1.0 0.01", "trees": "{t:.3f} 5.0 1.5 0.4", "gps": "{t:.3f} 1.0 2.0"}
+    for name, row in rows.items():
+        write(park, "".join(row.format(t=0.025 * k) + "\n" for k in range(200)), f"{name}.txt")
+    for option in (("--keyframe", "1,2"), ("--reference", drive.reference)):
+        assert f"{option[0]} does not apply to {park}: it is for logs of a laser" in refused(capsys, park, *option)
+    assert "--relations does not apply to victoria-park" in refused(capsys, park, "--relations", drive.relations)
+
+
+def test_a_robot_at_rest_is_a_short_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write(tmp_path, plain_log(np.ones((3000, 3)), 31))
+    assert run(log, "--trajectory", tmp_path) == 0
+    assert "2 steps, 1500 s" in capsys.readouterr().out
+    assert len(tum(tmp_path / "ekf.tum")[0]) == 3000
