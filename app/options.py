@@ -146,11 +146,11 @@ class LogOptions:
     robot: Annotated[int | None, values.whole("--robot", "N", Interval(0)), default("the first")] = None
     """Which robot, for logs of several."""
     first: Annotated[int | None, values.whole("--from", "N", Interval(0)), named("from", "0")] = None
-    """First observing step that is used."""
+    """First observing step that is used; of a laser log the first scan."""
     last: Annotated[int | None, values.whole("--to", "N", Interval(0)), named("to", "the last")] = None
-    """Last observing step that is used."""
+    """Last observing step that is used; of a laser log the last scan."""
     every: Annotated[int | None, values.whole("--every", "N", Interval(1)), default("1")] = None
-    """Use every N-th observing step."""
+    """Use every N-th observing step; of a laser log every N-th scan, before keyframes are chosen."""
     keyframe: Annotated[
         tuple[float, float] | None,
         values.pair("--keyframe", "METRES,DEGREES", Interval(0, 1e6)),

@@ -136,7 +136,7 @@ def count_of(fields: Sequence[bytes], at: int) -> int:
     """The number of readings, as one field tells it.  Raises `BrokenError`."""
     if len(fields) <= at:
         raise BrokenError(f"it ends after {len(fields) - 1} fields")
-    if not fields[at].isdigit():
+    if not fields[at].isdigit() or len(fields[at]) > 9:
         raise BrokenError(f"{_shown(fields[at])} is no number of readings")
     return int(fields[at])
 
@@ -146,7 +146,7 @@ def floats(fields: Sequence[bytes]) -> list[float]:
     found = []
     for field in fields:
         try:
-            found.append(float(field))
+            found.append(float(field.replace(b"_", b"?")))  # Python would pass over it
         except ValueError:
             raise BrokenError(f"{_shown(field)} is no number") from None
     return found

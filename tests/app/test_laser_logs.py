@@ -114,16 +114,16 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     assert out.count("Dual FastSLAM") == 2  # in the table of filters, and in that of relations
 
 
-def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "used"), [(("--to", 21), 1), (("--from", 12, "--to", 55), 1), (("--steps", 45), 2), (("--steps", 2), 0)]
+)
+def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path, options: tuple[object, ...], used: int) -> None:
     summary = tmp_path / "s.json"
-    line = (drive.log, "--relations", drive.relations, "--from", 5, "--to", 21, "--summary", summary)
-    assert run(*line) == 0
+    assert run(drive.log, "--relations", drive.relations, *options, "--summary", summary) == 0
     relations = json.loads(summary.read_text())["relations"]
     for key in ("odometry", *KEYS):
-        assert (relations[key]["used"], relations[key]["left_out"]) == (1, 3)
-    assert run(*line, "--steps", 2) == 0
-    relations = json.loads(summary.read_text())["relations"]
-    assert relations["dfs"] == {"used": 0, "left_out": 4, "translation_m": None, "rotation_rad": None}
+        assert (relations[key]["used"], relations[key]["left_out"]) == (used, 4 - used)
+        assert (relations[key]["translation_m"] is None) == (used == 0)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,11 @@ def test_other_numbers_of_beams_are_spread_in_front(tmp_path: Path) -> None:
     assert "some.log:1: nothing tells where the 91 beams look" in warning
 
 
+def test_an_empty_scan_is_no_other_number_of_beams(tmp_path: Path) -> None:
+    lines = plain_log(POSES, 91) + flaser([], POSES[4], POSES[4], 1003.0)
+    assert [len(ranges) for ranges in scans_of(read_log(write(tmp_path, lines)))] == [91] * 5 + [0]
+
+
 def test_old_logs_without_time_stamps(tmp_path: Path) -> None:
     source = read_log(write(tmp_path, "".join(flaser(readings(k), p, p) for k, p in enumerate(POSES))))
     assert [step.frame.time for step in source.steps] == [0, 1, 2, 3, 4]
@@ -126,10 +131,10 @@ def test_robotlaser(tmp_path: Path) -> None:
 
 def test_rawlaser_takes_its_pose_from_odom_messages(tmp_path: Path) -> None:
     raw = "RAWLASER1 0 -1.570796 3.141593 0.017453 81.9 0.01 0 {} {} 0 {:.6f} host 0\n"
-    text = odom((1.0, 2.0, 3.1), 10.0)
+    text = odom((1.4, 2.8, -3.1), 11.0)
     for stamp in (10.25, 10.5, 12.5):
         text += raw.format(181, " ".join(f"{r:g}" for r in readings(1)), stamp)
-    text += odom((1.4, 2.8, -3.1), 11.0)
+    text += odom((1.0, 2.0, 3.1), 10.0)  # in any order
     source = read_log(write(tmp_path, text))
     assert source.scans is not None
     middle = 3.1 + 0.25 * (math.tau - 6.2)  # on the circle, over pi
@@ -140,12 +145,13 @@ def test_rawlaser_takes_its_pose_from_odom_messages(tmp_path: Path) -> None:
 
 
 def test_corrected_poses_are_the_truth(tmp_path: Path) -> None:
-    better = arc(30, 0.1, 0.08)
-    text = "".join(flaser(readings(k), b, p, float(k)) for k, (b, p) in enumerate(zip(better, arc(30), strict=True)))
-    source = read_log(write(tmp_path, text))
+    shift = np.array([0.5, -0.5, 0.3])
+    better = compose(shift, arc(30, 0.1, 0.08))
+    pairs = enumerate(zip(better, arc(30), strict=True))
+    source = read_log(write(tmp_path, "".join(flaser(readings(k), b, p, float(k)) for k, (b, p) in pairs)))
     np.testing.assert_allclose([step.truth for step in source.steps], better, atol=1e-6)
     assert source.start == pytest.approx(better[0], abs=1e-6)
-    np.testing.assert_allclose(dead_reckoning(source), arc(30), atol=1e-5)  # from the same start
+    np.testing.assert_allclose(dead_reckoning(source), compose(shift, arc(30)), atol=1e-5)
     assert "corrected poses as truth" in source.title
     np.testing.assert_array_equal(scan_of(source).origin, 0.0)
 
@@ -349,7 +355,16 @@ UNUSABLE = {
     "letters": (with_line(plain_log(POSES[:1]).replace("181 ", "181 x", 1)), r"some\.log:3: FLASER: 'x81\.91' is no n"),
     "a field too few": (with_line(LINE.replace(" host", "")), r"some\.log:3: FLASER: 189 fields .*181; expected 190"),
     "other count": (with_line(LINE.replace("181", "180", 1)), r"some\.log:3: FLASER: 190 fields .* 180; expected 189"),
+    "short before other messages": (
+        plain_log(POSES) + LINE[:200] + "\nNEFF 1\n",
+        r"some\.log:6: FLASER: .*expected 190",
+    ),
     "no count": (with_line("FLASER many 1 2 3\n"), r"some\.log:3: FLASER: 'many' is no number of readings"),
+    "huge count": (with_line(f"FLASER {'9' * 5000} 1 2 3\n"), r"some\.log:3: FLASER: '9{40}' is no number of readings"),
+    "underscore": (
+        with_line(LINE.replace("1002.0", "1_002.0", 1)),
+        r"some\.log:3: FLASER: '1_002\.0+' is no number",
+    ),
     "half a line": (with_line("1.23 1.24 1.25\n"), r"some\.log:3: '1\.23 1\.24 1\.25' is no message"),
     "binary": (with_line("\x00\x01\x02 \x00\n"), r"some\.log:3: '\\x00\\x01\\x02 \\x00' is no message"),
     "nan pose": (with_line(poses_with(math.nan)), r"some\.log:3: pose nan 0 0; expected finite numbers"),
@@ -390,6 +405,10 @@ UNUSABLE = {
     "the only line is cut": (
         "FLASER 181 1.0 2.0\n",
         r"some\.log:1: FLASER: 2 fields behind the number of re",
+    ),
+    "small pose graph": (
+        "VERTEX_SE2 0 1 2 3\n" + robotlaser(readings(0), POSES[0], POSES[0], 1.0),
+        r"some\.log: no log of a known format, it begins with 'VERTEX_SE2",
     ),
     "pose graph": (
         "PARAM x\n" * 9000 + "VERTEX_SE2 0 1 2 3\n",
