@@ -171,9 +171,9 @@ def matched(u: Floats, covariance: Floats) -> tuple[Matched, Floats]:
         D[j] = max(covariance[j, j] - float(L[j, :j] ** 2 @ D[:j]), 0.0)
         for i in range(j + 1, 3):
             L[i, j] = (covariance[i, j] - float(L[i, :j] * L[j, :j] @ D[:j])) / D[j] if D[j] > 0.0 else 0.0
-    sigma = np.sqrt(D).tolist()
-    model = Matched(*sigma, float(L[1, 0]), float(L[2, 0]), float(L[2, 1]))
-    return model, np.linalg.solve(L, np.asarray(u, float))
+    a, b, c = np.sqrt(D).tolist()
+    model = Matched(a, b, c, float(L[1, 0]), float(L[2, 0]), float(L[2, 1]))
+    return model, np.array(np.linalg.solve(L, u), float)
 
 
 def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
