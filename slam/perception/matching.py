@@ -1,0 +1,597 @@
+"""How a robot really moved between two scans: the scan is laid on those before, and odometry has its say.
+
+1. Every beam that is part of a surface gets a normal, from its neighbours.
+2. Each point of the scan, where odometry puts it, is paired with the nearest point of the submap (the scans of the way
+   so far, as far back as it is of use) that faces the same way: P. J. Besl, N. D. McKay, "A method for registration of
+   3-D shapes", IEEE Trans. PAMI 14, 1992; F. Lu, E. Milios, "Robot pose estimation in unknown environments by matching
+   2D range scans", J. Intell. Robot. Syst. 18, 1997.
+3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a point-to-line
+   metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud, "IMLS-SLAM: scan-to-
+   model matching based on 3D data", ICRA 2018, so that neither the noise nor the rounding of single ranges matters.
+4. Gauss-Newton on the sum of squares (Huber's beyond a few centimetres) and on the distance from the odometry in units
+   of its covariance; then new pairs, within a gate that narrows.  What two walls of a corridor do not show, how far
+   along it the robot is, they must not show by the noise of their normals either: J. Zhang, M. Kaess, S. Singh, "On
+   degeneracy of optimization-based state estimation problems", ICRA 2016.
+5. The covariance is the inverse of the curvature at the end (A. Censi, "An accurate closed-form estimate of ICP's
+   covariance", ICRA 2007, has also what the noise of both scans does to it), with a deviation of a point so large that
+   the many errors that points have in common are covered.
+
+Points are (x, y, nx, ny): a place [m] and the unit normal of the surface, on the side from which it was seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam._jit import inline, kernel
+from slam.geometry import compose, invert, wrap
+from slam.types import Floats, Scan
+
+
+class Matcher(NamedTuple):
+    """How to match scans, and when to believe it."""
+
+    keyframes: int = 100
+    """Scans that the submap is made of, at most."""
+    spacing: float = 0.25
+    """[m] of way after which a scan is added to it."""
+    turn: float = math.radians(6.0)
+    """[rad] of turn after which one is."""
+    most: int = 400
+    """Beams of a scan that are matched and kept; of more, every second or third is."""
+    fewest: int = 15
+    """Points with a normal that a scan needs."""
+    baseline: float = 0.2
+    """[m] to either side of a beam from which its normal is taken, and no less than `neighbours` beams."""
+    neighbours: int = 3
+    """Beams to either side."""
+    smooth: float = 0.1
+    """[m] around the nearest point of the submap over which the surface is averaged."""
+    facing: float = 0.7
+    """The cosine of the angle between the normals of a pair, at least."""
+    widest: float = 0.6
+    """[m] between the points of a pair, at first."""
+    narrowest: float = 0.15
+    """[m] between them, in the end."""
+    narrowing: float = 0.7
+    """What is left of the gate after each iteration."""
+    huber: float = 0.03
+    """[m] from the surface beyond which a point no longer pulls harder."""
+    sigma: float = 0.02
+    """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry has
+    no part in what the scan shows better."""
+    reported: float = 0.1
+    """[m] the same for the covariance that is reported: large, since errors are alike from beam to beam, and from scan
+    to scan."""
+    parallel: float = 0.15
+    """[rad] Surfaces that are within this of the direction in which the pose is known least say nothing along it."""
+    iterations: int = 30
+    """At most."""
+    restarts: tuple[float, ...] = (math.radians(6.0), -math.radians(6.0), math.radians(14.0), -math.radians(14.0))
+    """[rad] from the heading of the odometry at which to begin again, where that heading itself leads to nothing good."""
+    good_overlap: float = 0.7
+    """The share of the points that are paired, from which on nothing is begun again."""
+    good_residual: float = 0.03
+    """[m] mean distance from the surface, up to which nothing is."""
+    least_overlap: float = 0.3
+    """Below this share a match is not used."""
+    largest_residual: float = 0.06
+    """[m] Above this mean distance it is not."""
+    surprise: float = 5.0
+    """Deviations from the odometry beyond which a match is not used unless it fits much better."""
+    better: float = 0.5
+    """What it must then leave of the misfit that the odometry has."""
+
+
+STANDARD = Matcher()
+
+
+class Track(NamedTuple):
+    """The way so far, and what was seen along it: a value, from which one may go on as often as one likes."""
+
+    pose: Floats
+    """(3,) [m, m, rad] of the robot in the frame in which the way began."""
+    newest: Floats
+    """(3,) pose at which the newest scan of the submap was taken."""
+    scans: tuple[Floats, ...]
+    """Points (n, 4) of each scan of the submap, in that frame, oldest first.  Tracks share these arrays."""
+
+
+START = Track(np.zeros(3), np.zeros(3), ())
+"""Before the first scan."""
+
+
+class Match(NamedTuple):
+    """What takes the place of an odometry increment."""
+
+    u: Floats
+    """(3,) increment [m, m, rad] in the robot's frame before it (`slam.motion.Odometry`)."""
+    covariance: Floats
+    """(3, 3) of u."""
+    overlap: float
+    """Share of the points of the scan that were paired, 0 to 1."""
+    residual: float
+    """[m] mean distance of those from the surface."""
+    used: bool
+    """Whether u is that of the match; else it is the odometry as it was given, and so is the covariance."""
+    reason: str
+    """Why it is not."""
+
+
+class OdometryNoise(NamedTuple):
+    """What is wrong with increments of odometry.
+
+    Variances grow in proportion to the way and to the turn, so that it does not matter how often somebody reads the
+    odometer: the deviation after 4 m is twice that after 1 m.
+    """
+
+    along: float = 0.1
+    """[m] deviation in the direction of travel, after one metre."""
+    lateral: float = 0.1
+    """[m] deviation across it, after one metre."""
+    slip: float = 0.1
+    """[m] deviation in each direction, after turning by one radian."""
+    turn_per_metre: float = 0.15
+    """[rad] deviation of the heading, after one metre."""
+    turn_per_radian: float = 0.2
+    """[rad] deviation of the heading, after turning by one radian."""
+
+    def covariance(self, u: Floats) -> Floats:
+        """Q (3, 3) of an increment u (3,), in the robot's frame before it."""
+        travel, turned = math.hypot(u[0], u[1]), abs(u[2])
+        c, q = (u[0] / travel, u[1] / travel) if travel > 0.0 else (1.0, 0.0)
+        along = self.along**2 * travel + self.slip**2 * turned + STILL[0] ** 2
+        lateral = self.lateral**2 * travel + self.slip**2 * turned + STILL[0] ** 2
+        Q = np.zeros((3, 3))
+        Q[0, 0], Q[1, 1] = c * c * along + q * q * lateral, q * q * along + c * c * lateral
+        Q[0, 1] = Q[1, 0] = c * q * (along - lateral)
+        Q[2, 2] = self.turn_per_metre**2 * travel + self.turn_per_radian**2 * turned + STILL[1] ** 2
+        return Q
+
+
+STILL = (1e-3, 1e-3)
+"""[m], [rad] Deviations of an increment of a robot that stands still."""
+
+SLIGHTEST = 1e-4
+"""[m] and [rad] Added to the deviations of an odometry, which may be believed to be exact in some direction."""
+
+STEADY = (3e-4, 5e-5)
+"""[m], [rad] of correction below which an iteration was the last."""
+
+
+def match(track: Track, scan: Scan, u: Floats, Q: Floats, settings: Matcher = STANDARD) -> tuple[Track, Match]:
+    """The track after a scan and the increment that led to it; u (3,) and Q (3, 3) are those of the odometry."""
+    q = surface_points(scan, settings)
+    found = _match(track, q, u, Q, settings)
+    pose = compose(track.pose, found.u)
+    if len(q) < settings.fewest or not (_moved(track, pose, settings) or not track.scans):
+        return track._replace(pose=pose), found
+    return Track(pose, pose, (*track.scans[-settings.keyframes + 1 :], _placed(q, pose))), found
+
+
+def _moved(track: Track, pose: Floats, settings: Matcher) -> bool:
+    """Whether a pose is so far from that of the newest scan of the submap that its own scan shows something new."""
+    x, y, turned = compose(invert(track.newest), pose)
+    return math.hypot(x, y) > settings.spacing or abs(turned) > settings.turn
+
+
+def _match(track: Track, q: Floats, u: Floats, Q: Floats, settings: Matcher) -> Match:
+    """What the points q (M, 4), in the robot's frame, say of the increment that led to them."""
+    if not track.scans:
+        return Match(u, Q, 0.0, 0.0, False, "first scan")
+    if len(q) < settings.fewest:
+        return Match(u, Q, 0.0, 0.0, False, "too few points")
+    predicted = compose(track.pose, u)
+    turn = _rotation(track.pose[2])
+    prior = np.linalg.inv(Q + SLIGHTEST**2 * np.eye(3))
+    points, start = _submap(track, predicted, np.hypot(q[:, 0], q[:, 1]).max() + settings.widest, settings)
+    best, x, information = _align(q, points, start, predicted, turn @ prior @ turn.T, settings)
+
+    share, residual, misfit = best
+    if share < settings.least_overlap:
+        return Match(u, Q, share, residual, False, "too little overlap")
+    if residual > settings.largest_residual:
+        return Match(u, Q, share, residual, False, "does not fit")
+    covariance = np.linalg.inv(turn.T @ information @ turn / settings.reported**2 + prior)
+    u_new = compose(invert(track.pose), x)
+    away = np.array([u_new[0] - u[0], u_new[1] - u[1], wrap(u_new[2] - u[2])])
+    if not (np.isfinite(u_new).all() and np.isfinite(covariance).all()):
+        return Match(u, Q, share, residual, False, "singular")
+    if away @ np.linalg.solve(Q + covariance, away) > settings.surprise**2:
+        before = _misfit(q, points, start, predicted, settings)
+        if misfit > settings.better * before:
+            return Match(u, Q, share, residual, False, "odometry fits as well, and is far away")
+    return Match(u_new, 0.5 * (covariance + covariance.T), share, residual, True, "")
+
+
+def _rotation(angle: float) -> Floats:
+    """(3, 3) that turns the covariance of a pose."""
+    c, q = math.cos(angle), math.sin(angle)
+    return np.array([[c, -q, 0.0], [q, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _placed(points: Floats, pose: Floats) -> Floats:
+    """Points (n, 4) given in the frame of a pose, in the frame in which the pose is given."""
+    turn = _rotation(pose[2])[:2, :2]
+    return np.hstack([points[:, :2] @ turn.T + pose[:2], points[:, 2:] @ turn.T])
+
+
+def surface_points(scan: Scan, settings: Matcher = STANDARD) -> Floats:
+    """(n, 4) the beams of a scan that met a surface, in the robot's frame."""
+    B = len(scan.ranges)
+    points = np.empty((B, 4))
+    if B < 2:
+        return points[:0]
+    step = abs(scan.bearings[-1] - scan.bearings[0]) / (B - 1)
+    every = -(-B // settings.most)
+    seen = np.where(scan.ranges < scan.max_range, scan.ranges, np.inf)
+    n = _surface(seen, np.cos(scan.bearings), np.sin(scan.bearings), step, every, settings, points)
+    return _placed(points[:n], scan.origin)
+
+
+def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> tuple[Floats, Any]:
+    """The points of the submap within a radius [m], sorted by cell, and where the points of each bucket begin."""
+    points = np.concatenate(track.scans)
+    buckets = 1 << max(6, int(len(points) - 1).bit_length())
+    ordered = np.empty_like(points)
+    start, bucket = np.zeros(buckets + 1, np.int64), np.empty(len(points), np.int64)
+    n = _sort(points, centre, radius, settings.smooth, bucket, start, ordered)
+    return ordered[:n], start
+
+
+def _align(
+    q: Floats, points: Floats, start: Any, predicted: Floats, prior: Floats, settings: Matcher
+) -> tuple[tuple[float, float, float], Floats, Floats]:
+    """(overlap, residual, misfit), pose (3,) and information (3, 3) of the best fit, begun again where it must be.
+
+    The information is that of the scan alone, for a deviation of one metre.
+    """
+    best, pose, information = (0.0, math.inf, math.inf), predicted, np.zeros((3, 3))
+    for turn in (0.0, *settings.restarts):
+        x, system = predicted + [0.0, 0.0, turn], np.empty((5, 3))
+        fit = _descend(q, points, start, predicted, prior, settings, x, system)
+        if fit[2] < best[2]:
+            best, pose, information = fit, x, system[:3]
+        if best[0] >= settings.good_overlap and best[1] <= settings.good_residual:
+            break
+    return best, pose, information
+
+
+def _misfit(q: Floats, points: Floats, start: Any, pose: Floats, settings: Matcher) -> float:
+    """[m^2] of the points q at a pose."""
+    everywhere = (1.0, 0.0, 0.0)
+    return _linearise(q, points, start, pose, settings.narrowest, everywhere, settings, np.empty((5, 3)))[2]
+
+
+def odometry_noise(
+    scans: Sequence[Scan], increments: Floats, settings: Matcher = STANDARD, believed: OdometryNoise | None = None
+) -> OdometryNoise:
+    """What is wrong with the odometry of a log, by what its scans show.
+
+    increments (n, 3) lead from each scan to the next, the first of them to the first scan.  Where scans show the pose
+    well, the differences between match and odometry are summed over stretches of some metres.  Over those what is
+    systematic in the odometry outgrows what is random in it, and in the matches, and counts as deviation.  The variances
+    are those of the greatest likelihood of a Student distribution, which some wild stretches do not impress.
+    `believed` is for the matching that this needs.
+    """
+    believed = believed or OdometryNoise()
+    stretches: list[_Stretch] = []
+    for first, last in _pieces(increments, settings):
+        stretches += _stretches(scans, increments, first, last, settings, believed)
+    _, travel, turned, heading, seen_travel, seen_turned, along, lateral = np.array(stretches).reshape(-1, 8).T
+    seen = seen_travel + seen_turned > 0.0
+    seen_travel, seen_turned, along, lateral = seen_travel[seen], seen_turned[seen], along[seen], lateral[seen]
+    per_metre, slip = _deviations(along, seen_travel, seen_turned, believed.along, believed.slip)
+    sideways, skid = _deviations(lateral, seen_travel, seen_turned, believed.lateral, believed.slip)
+    turns = _deviations(heading, travel, turned, believed.turn_per_metre, believed.turn_per_radian)
+    return OdometryNoise(per_metre, sideways, math.hypot(slip, skid) / math.sqrt(2.0), *turns)
+
+
+class _Stretch(NamedTuple):
+    """Sums over the steps of a stretch; the last four over those where the scans show the place well."""
+
+    steps: float
+    travel: float
+    turned: float
+    heading: float
+    seen_travel: float
+    seen_turned: float
+    along: float
+    lateral: float
+
+
+LEARNING = 600
+"""Steps that are matched to learn the noise of an odometry."""
+
+PIECE = 40
+"""Steps in a row."""
+
+LONG = (5.0, 3.0)
+"""[m], [rad] of way and of turn, either of which makes a stretch."""
+
+
+def _pieces(increments: Floats, settings: Matcher) -> list[tuple[int, int]]:
+    """(first, last) scans of pieces of the log, spread over all that is not standing still."""
+    moved = np.hypot(increments[:, 0], increments[:, 1]) / settings.spacing + np.abs(increments[:, 2]) / settings.turn
+    way = np.cumsum(np.minimum(moved, 1.0))
+    count = max(1, min(LEARNING, math.ceil(way[-1])) // PIECE)
+    starts = np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)[:-1])
+    ends = np.searchsorted(way, way[starts] + PIECE)
+    return [(int(a), int(min(b, len(way) - 1))) for a, b in zip(starts, ends, strict=True)]
+
+
+def _stretches(
+    scans: Sequence[Scan], increments: Floats, first: int, last: int, settings: Matcher, believed: OdometryNoise
+) -> list[_Stretch]:
+    """What odometry and matches differ by, from scan `first` to `last`."""
+    track, _ = match(START, scans[first], np.zeros(3), np.eye(3), settings)
+    found, sums, u = [], np.zeros(8), np.zeros(3)
+    for k in range(first + 1, last + 1):
+        u = compose(u, increments[k])
+        travel, turned = math.hypot(u[0], u[1]), abs(u[2])
+        if travel < settings.spacing and turned < settings.turn:
+            continue
+        Q = believed.covariance(u)
+        track, step = match(track, scans[k], u, Q, settings)
+        if step.used:
+            e = np.array([step.u[0] - u[0], step.u[1] - u[1], wrap(step.u[2] - u[2])])
+            c, q = (u[0] / travel, u[1] / travel) if travel > 0.0 else (1.0, 0.0)
+            place = np.array([travel, turned, c * e[0] + q * e[1], c * e[1] - q * e[0]])
+            well = np.linalg.eigvalsh(step.covariance[:2, :2])[1] < SEEN * np.linalg.eigvalsh(Q[:2, :2])[0]
+            sums += [1.0, travel, turned, e[2], *(place if well else np.zeros(4))]
+        if not step.used or sums[1] >= LONG[0] or sums[2] >= LONG[1]:
+            if step.used:
+                found.append(_Stretch(*sums))
+            sums = np.zeros(8)
+        u = np.zeros(3)
+    return found
+
+
+SEEN = 0.25
+"""Of the least variance of the odometry in the plane, the share that is left by a match which shows the place well."""
+
+
+def _deviations(r: Floats, travel: Floats, turned: Floats, per_metre: float, per_radian: float) -> tuple[float, float]:
+    """Deviations after a metre and after a radian, of sums r (n,) over stretches of `travel` [m] and `turned` [rad].
+
+    The guess counts for one more stretch of a metre, and one of a radian.
+    """
+    squares = np.append(r**2, [per_metre**2, per_radian**2])
+    travel, turned = np.append(travel, [1.0, 0.0]), np.append(turned, [0.0, 1.0])
+    grid = np.geomspace(1e-3, 3.0, 80) ** 2
+    variance = grid[:, None, None] * travel + grid[None, :, None] * turned
+    cost = np.sum(np.log(variance) + (FREEDOM + 1.0) * np.log1p(squares / (FREEDOM * variance)), axis=2)
+    a, b = np.unravel_index(cost.argmin(), cost.shape)
+    return math.sqrt(grid[a]), math.sqrt(grid[b])
+
+
+FREEDOM = 4.0
+"""Of the Student distribution."""
+
+
+# The loops -----------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _surface(r: Any, c: Any, s: Any, step: Any, every: Any, settings: Any, points: Any) -> Any:
+    """The number of points; those of the beams with a range r and the direction (c, s) that are part of a surface.
+
+    Neighbours are beams without a jump between them: what meets a wall at 10 degrees is on the same wall.
+    """
+    n, count = len(r), 0
+    for i in range(0, n, every):
+        if not 0.0 < r[i] < np.inf:
+            continue
+        x, y = r[i] * c[i], r[i] * s[i]
+        N, sx, sy, sxx, sxy, syy, sides = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
+        for way in (-1, 1):
+            k = i
+            while True:
+                j = k + way
+                if j < 0 or j >= n or not 0.0 < r[j] < np.inf:
+                    break
+                dx, dy = r[j] * c[j] - r[k] * c[k], r[j] * s[j] - r[k] * s[k]
+                if math.hypot(dx, dy) > GRAZING * step * min(r[j], r[k]) + JUMP:
+                    break
+                dx, dy = r[j] * c[j] - x, r[j] * s[j] - y
+                if abs(j - i) > settings.neighbours and dx * dx + dy * dy > settings.baseline * settings.baseline:
+                    break
+                N, sx, sy = N + 1.0, sx + dx, sy + dy
+                sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+                k = j
+            sides += k != i
+        if N < 4.0 or sides < 2:
+            continue
+        a, b, d = sxx - sx * sx / N, sxy - sx * sy / N, syy - sy * sy / N
+        root = math.hypot(0.5 * (a - d), b)
+        across, along = 0.5 * (a + d) - root, 0.5 * (a + d) + root
+        if not across < ROUND * along:
+            continue
+        phi = 0.5 * math.atan2(b, 0.5 * (a - d))
+        nx, ny = -math.sin(phi), math.cos(phi)
+        if nx * x + ny * y > 0.0:
+            nx, ny = -nx, -ny
+        points[count, 0], points[count, 1], points[count, 2], points[count, 3] = x, y, nx, ny
+        count += 1
+    return count
+
+
+GRAZING = 1.0 / math.sin(math.radians(10.0))
+JUMP = 0.1
+"""[m] between two beams that are neighbours whatever else."""
+ROUND = 0.1
+"""The variance of neighbours across their line, as a share of that along it, from which on it is no line."""
+
+
+@inline
+def _bucket(x: Any, y: Any, buckets: Any) -> Any:
+    """That of the cell (x, y): another one may have the same, and then costs time."""
+    return (x * 73856093 ^ y * 19349663) & (buckets - 1)
+
+
+@inline
+def _cell(x: Any, size: Any) -> Any:
+    return int(math.floor(x / size))
+
+
+@kernel
+def _sort(points: Any, centre: Any, radius: Any, size: Any, bucket: Any, start: Any, ordered: Any) -> Any:
+    """How many points are within the radius; `ordered` receives them by bucket, start (H + 1,) where each begins."""
+    H, n = len(start) - 1, 0
+    for i in range(len(points)):
+        dx, dy = points[i, 0] - centre[0], points[i, 1] - centre[1]
+        bucket[i] = -1
+        if dx * dx + dy * dy <= radius * radius:
+            bucket[i] = _bucket(_cell(points[i, 0], size), _cell(points[i, 1], size), H)
+            start[bucket[i]] += 1
+            n += 1
+    for h in range(1, H + 1):
+        start[h] += start[h - 1]
+    for i in range(len(points) - 1, -1, -1):
+        if bucket[i] >= 0:
+            start[bucket[i]] -= 1
+            for k in range(4):
+                ordered[start[bucket[i]], k] = points[i, k]
+    return n
+
+
+@inline
+def _nearest(p: Any, gate: Any, points: Any, start: Any, settings: Any) -> Any:
+    """The nearest point of the submap to p (x, y, nx, ny) that faces the same way, -1 for none: ring after ring of
+    cells."""
+    size, H = settings.smooth, len(start) - 1
+    cx, cy = _cell(p[0], size), _cell(p[1], size)
+    least, nearest = gate * gate, -1
+    for ring in range(int(math.ceil(gate / size)) + 1):
+        if least <= (max(ring - 1, 0) * size) ** 2:
+            break
+        for x in range(cx - ring, cx + ring + 1):
+            leap = 1 if x == cx - ring or x == cx + ring else 2 * ring
+            for y in range(cy - ring, cy + ring + 1, leap):
+                h = _bucket(x, y, H)
+                for k in range(start[h], start[h + 1]):
+                    dx, dy = points[k, 0] - p[0], points[k, 1] - p[1]
+                    away = dx * dx + dy * dy
+                    if away < least and p[2] * points[k, 2] + p[3] * points[k, 3] > settings.facing:
+                        least, nearest = away, k
+    return nearest
+
+
+@inline
+def _mean_surface(k: Any, points: Any, start: Any, settings: Any) -> Any:
+    """(x, y, nx, ny) of the surface around point k of the submap: the mean of what faces the same way."""
+    size, H = settings.smooth, len(start) - 1
+    cx, cy, reach = points[k, 0], points[k, 1], settings.smooth * settings.smooth
+    W, x, y, nx, ny = 0.0, 0.0, 0.0, 0.0, 0.0
+    for ix in range(_cell(cx - size, size), _cell(cx + size, size) + 1):
+        for iy in range(_cell(cy - size, size), _cell(cy + size, size) + 1):
+            h = _bucket(ix, iy, H)
+            for j in range(start[h], start[h + 1]):
+                dx, dy = points[j, 0] - cx, points[j, 1] - cy
+                w = 1.0 - (dx * dx + dy * dy) / reach
+                if w <= 0.0 or points[k, 2] * points[j, 2] + points[k, 3] * points[j, 3] < settings.facing:
+                    continue
+                w *= w
+                W, x, y = W + w, x + w * dx, y + w * dy
+                nx, ny = nx + w * points[j, 2], ny + w * points[j, 3]
+    size = math.hypot(nx, ny)
+    return cx + x / W, cy + y / W, nx / size, ny / size
+
+
+@kernel
+def _linearise(
+    q: Any, points: Any, start: Any, pose: Any, gate: Any, weak: Any, settings: Any, system: Any
+) -> Any:
+    """(overlap, residual [m], misfit [m^2]) of the points at a pose.
+
+    system (5, 3) receives the curvature (three rows) and the slope of the misfit, as sums over the pairs, and the sums
+    of (nx nx, nx ny, ny ny).  The misfit is half of the mean over all points of the squared distance from the surface
+    (Huber's beyond a few centimetres); for a point without a pair, of the largest that it could have.  A surface that
+    may be parallel to the direction `weak` is taken to be so.
+    """
+    M, pairs, distance, misfit = len(q), 0, 0.0, 0.0
+    c, s, limit = math.cos(pose[2]), math.sin(pose[2]), settings.huber
+    system[:] = 0.0
+    for i in range(M):
+        rx, ry = c * q[i, 0] - s * q[i, 1], s * q[i, 0] + c * q[i, 1]
+        p = (pose[0] + rx, pose[1] + ry, c * q[i, 2] - s * q[i, 3], s * q[i, 2] + c * q[i, 3])
+        k = _nearest(p, gate, points, start, settings)
+        if k < 0:
+            misfit += limit * (gate - 0.5 * limit)
+            continue
+        x, y, nx, ny = _mean_surface(k, points, start, settings)
+        e = nx * (p[0] - x) + ny * (p[1] - y)
+        off = abs(e)
+        w = 1.0 if off <= limit else limit / off
+        pairs, distance = pairs + 1, distance + off
+        misfit += 0.5 * off * off if off <= limit else limit * (off - 0.5 * limit)
+        system[4, 0] += w * nx * nx
+        system[4, 1] += w * nx * ny
+        system[4, 2] += w * ny * ny
+        if abs(nx * weak[0] + ny * weak[1]) < settings.parallel * weak[2]:
+            side = 1.0 if ny * weak[0] - nx * weak[1] > 0.0 else -1.0
+            nx, ny = -side * weak[1], side * weak[0]
+        J = (nx, ny, ny * rx - nx * ry)
+        for a in range(3):
+            for b in range(3):
+                system[a, b] += w * J[a] * J[b]
+            system[3, a] += w * J[a] * e
+    return pairs / M, distance / max(pairs, 1), misfit / M
+
+
+@inline
+def _weakest(system: Any) -> Any:
+    """(x, y, 1) the direction that the normals show least; (x, y, 0) if they show it well."""
+    a, b, d = system[4, 0], system[4, 1], system[4, 2]
+    root, phi = math.hypot(0.5 * (a - d), b), 0.5 * math.atan2(b, 0.5 * (a - d))
+    least, most = 0.5 * (a + d) - root, 0.5 * (a + d) + root
+    return -math.sin(phi), math.cos(phi), 1.0 if least < WEAK * most else 0.0
+
+
+WEAK = 0.2
+"""Of the sums of squared normals along two directions, the share of the smaller below which that direction is weak."""
+
+
+@inline
+def _solve(A: Any, g: Any, L: Any, away: Any, weight: Any) -> Any:
+    """The step (3,) down from the slope weight g + L away, for the curvature weight A + L (Cholesky); NaN for none."""
+    h00, h10, h20 = weight * A[0, 0] + L[0, 0], weight * A[1, 0] + L[1, 0], weight * A[2, 0] + L[2, 0]
+    h11, h21, h22 = weight * A[1, 1] + L[1, 1], weight * A[2, 1] + L[2, 1], weight * A[2, 2] + L[2, 2]
+    b0 = -weight * g[0] - L[0, 0] * away[0] - L[0, 1] * away[1] - L[0, 2] * away[2]
+    b1 = -weight * g[1] - L[1, 0] * away[0] - L[1, 1] * away[1] - L[1, 2] * away[2]
+    b2 = -weight * g[2] - L[2, 0] * away[0] - L[2, 1] * away[1] - L[2, 2] * away[2]
+    l00 = math.sqrt(h00)
+    l10, l20 = h10 / l00, h20 / l00
+    l11 = math.sqrt(h11 - l10 * l10)
+    l21 = (h21 - l20 * l10) / l11
+    l22 = math.sqrt(h22 - l20 * l20 - l21 * l21)
+    z0 = b0 / l00
+    z1 = (b1 - l10 * z0) / l11
+    z2 = (b2 - l20 * z0 - l21 * z1) / (l22 * l22)
+    z1 = (z1 - l21 * z2) / l11
+    return (z0 - l10 * z1 - l20 * z2) / l00, z1, z2
+
+
+@kernel
+def _descend(
+    q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any
+) -> Any:
+    """(overlap, residual, misfit) at the end of the way down from `pose` (3,), which receives the end.
+
+    predicted (3,) and prior (3, 3) are the pose by odometry and its information; system as in `_linearise`.
+    """
+    gate, weak = settings.widest, (1.0, 0.0, 0.0)
+    for _ in range(settings.iterations):
+        _linearise(q, points, start, pose, gate, weak, settings, system)
+        weak = _weakest(system)
+        away = (pose[0] - predicted[0], pose[1] - predicted[1], wrap(pose[2] - predicted[2]))
+        dx, dy, turn = _solve(system, system[3], prior, away, 1.0 / (settings.sigma * settings.sigma))
+        pose[0], pose[1], pose[2] = pose[0] + dx, pose[1] + dy, wrap(pose[2] + turn)
+        if gate <= settings.narrowest and math.hypot(dx, dy) < STEADY[0] and abs(turn) < STEADY[1]:
+            break
+        gate = max(settings.narrowing * gate, settings.narrowest)
+    return _linearise(q, points, start, pose, settings.narrowest, weak, settings, system)
