@@ -130,7 +130,7 @@ def draw_map(title: str, truth: Layer, layers: list[Layer], scanned: Floats = NO
         body += _dots(place(layer.landmarks), layer.colour)
         body += _bands(layer, place, scale)
         body += _lines(place(layer.walls.ends), layer.colour, width=1.6, opacity=0.95)
-        body.append(_ends(place(layer.walls.ends)[layer.walls.seen], layer.colour))
+        body += _ends(place(layer.walls.ends)[layer.walls.seen], layer.colour)
     shown = [truth, *layers] if len(truth.points()) else layers
     shown += [Layer("seen by the laser", SCANNED, scanned)] if len(scanned) else []
     body += _legend(shown, truth.title, foot)
@@ -207,10 +207,11 @@ def _dots(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
         yield f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.6' fill='{_hex(colour)}' fill-opacity='0.85'/>"
 
 
-def _ends(points: Floats, colour: tuple[int, int, int]) -> str:
+def _ends(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
     """Small dots, in one element: there may be thousands."""
-    d = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in points)
-    return f"<path class='ends' d='{d}' stroke='{_hex(colour)}' stroke-width='3.4' stroke-linecap='round'/>"
+    if len(points):
+        d = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in points)
+        yield f"<path class='ends' d='{d}' stroke='{_hex(colour)}' stroke-width='3.4' stroke-linecap='round'/>"
 
 
 def _ellipses(layer: Layer, place: Callable[[Floats], Floats], scale: float) -> Iterator[str]:

@@ -133,8 +133,6 @@ class LaserLog:
         alone = {key: fit for key, fit in found[0].fits.items() if key in ALONE} if found else {}
         warnings = [*source.warnings, *(relations.warnings if relations else ())]
         warnings += [*unseen([outcome.observed for outcome in found[:1]]), *worse(alone, cells)]
-        assert source.scans is not None
-        kept = source.scans.kept
         return finish(
             self,
             "laser-log",
@@ -143,7 +141,7 @@ class LaserLog:
             _tables(closures, alone, cells),
             (fewest, self.seeds),
             stopped,
-            f"{source.title}; scans {kept[0]} to {kept[-1]}, {len(kept)} steps\n{MEDIANS}",
+            f"{source.title}; {_part(source)}, {len(source.steps)} steps\n{MEDIANS}",
             warnings=warnings,
         )
 
@@ -276,7 +274,7 @@ def _closures_table(rows: Sequence[tuple[str, str, list[Fit]]], closures: Sequen
     table = empty_table("closures", "", "K", *columns, "all closed")
     for title, K, paths in rows:
         off = np.array([path.closures_m for path in paths])  # (N, C)
-        cells = [cell for column in off.T for cell in (f"{np.median(column):.2g}", _share(column <= NEAR))]
+        cells = [cell for column in off.T for cell in (f"{np.median(column):.3g}", _share(column <= NEAR))]
         table.add_row(title, K, *cells, _share((off <= NEAR).all(axis=1)))
     table.caption = f"closed: at the second scan within {NEAR:g} m of the truth, as seen from the first"
     table.caption_justify = "left"
@@ -348,8 +346,8 @@ def _draw(directory: Path, source: Source, task: Task, last: SessionStep) -> Non
     layer = map_layer(title, of_filter(task.filter), path, source.feature, theta, Sigma)
     scans = scan_points([step.frame.scan for step in source.steps], path)
     directory.mkdir(parents=True, exist_ok=True)
-    name = f"{source.name}-{task.filter}-{task.particles}.svg"
-    write_whole(directory / name, draw_map(f"{source.title}, seed {task.seed}", NO_TRUTH, [layer], scans))
+    picture = draw_map(f"{source.name}, {_part(source)}, seed {task.seed}", NO_TRUTH, [layer], scans)
+    write_whole(directory / f"{source.name}-{task.filter}-{task.particles}.svg", picture)
 
 
 # -- the log, and what is known of it -------------------------------------------------------------------------------
@@ -358,6 +356,11 @@ def _draw(directory: Path, source: Source, task: Task, last: SessionStep) -> Non
 def _tuned(study: LaserLog, source: Source, particles: int) -> Params:
     given = FilterOptions(**{**vars(study.tuning), "particles": particles})
     return parameters(source, given, WorldNoise(), study.believed)[1]
+
+
+def _part(source: Source) -> str:
+    assert source.scans is not None
+    return f"scans {source.scans.kept[0]} to {source.scans.kept[-1]}"
 
 
 def _has_clock(source: Source) -> bool:
