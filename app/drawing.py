@@ -14,8 +14,8 @@ from slam.features.wall import ends
 from slam.geometry import compose, ellipse_axes
 from slam.types import Bools, Floats, Scan
 
-WIDTH = 900
-LARGEST_HEIGHT = 900
+WIDTH = 1000
+LARGEST_HEIGHT = 1000
 MARGIN = 36
 TRUTH_OPACITY = 0.35
 HEADER, FOOTER = 34, 46

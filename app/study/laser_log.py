@@ -276,7 +276,7 @@ def _closures_table(rows: Sequence[tuple[str, str, list[Fit]]], closures: Sequen
         off = np.array([path.closures_m for path in paths])  # (N, C)
         cells = [cell for column in off.T for cell in (f"{np.median(column):.3g}", _share(column <= NEAR))]
         table.add_row(title, K, *cells, _share((off <= NEAR).all(axis=1)))
-    table.caption = f"closed: at the second scan within {NEAR:g} m of the truth, as seen from the first"
+    table.caption = f"closed: within {NEAR:g} m, as seen from the first scan"
     table.caption_justify = "left"
     return table
 
@@ -300,7 +300,7 @@ def _work_table(cells: Cells) -> Table:
             spread(of["filter_s"]),
             "-" if math.isnan(factor) else f"{factor:.3g}x",
         )
-    table.caption = "real time: seconds of the log for each that the filter computes, without finding walls in scans"
+    table.caption = "real time: seconds of the log for one of the filter"
     table.caption_justify = "left"
     return table
 

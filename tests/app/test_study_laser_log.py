@@ -201,10 +201,10 @@ def test_scans_are_seen_from_where_they_were_taken() -> None:
 
 
 def test_scan_points_are_the_pixels_they_fall_into() -> None:
-    """A picture of 82.8 m is to a scale of 10 pixels a metre, from the 36th on."""
-    path = np.array([[0.0, 0.0], [82.8, 0.0], [82.8, 30.0]])
+    """A picture of 92.8 m is to a scale of 10 pixels a metre, from the 36th on."""
+    path = np.array([[0.0, 0.0], [92.8, 0.0], [92.8, 30.0]])
     rng = np.random.default_rng(1)
-    points = rng.uniform([-3, -3], [85, 32], (3000, 2))
+    points = rng.uniform([-3, -3], [95, 32], (3000, 2))
     far = np.array([[500.0, 10.0], [10.0, -400.0], [-20.0, 5.0]])
     text = draw_map("x", NO_TRUTH, [Layer("y", (1, 2, 3), path)], np.concatenate([points, points[:500], far]))
     expected = np.floor(np.stack([36 + 10 * points[:, 0], 34 + 36 + 10 * (30 - points[:, 1])], axis=1) + 1e-9)
@@ -234,7 +234,7 @@ def test_pictures_show_the_map_over_the_scans(drive: Drive, tmp_path: Path) -> N
         drawn = np.array([[float(c) for c in point.split(",")] for point in route.removeprefix("M").split()])
         scale = np.ptp(drawn[:, 0]) / np.ptp(poses[:, 0])
         at = drawn.mean(axis=0) + scale * (np.concatenate(points) - poses[:, :2].mean(axis=0)) * [1, -1]
-        inside = (at > [1, 36]).all(axis=1) & (at < [899, float(root.attrib["height"]) - 48]).all(axis=1)
+        inside = (at > [1, 36]).all(axis=1) & (at < [999, float(root.attrib["height"]) - 48]).all(axis=1)
         expected = {(int(x), int(y)) for x, y in np.floor(at[inside])}
         cells = cells_of(root)
         near = {(x + i, y + j) for x, y in cells for i in (-1, 0, 1) for j in (-1, 0, 1)}

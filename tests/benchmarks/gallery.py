@@ -22,7 +22,7 @@ LARGEST = 120_000
 STYLE = f"<style>body {{margin: 0}} svg {{display: block; width: {WIDTH}px; height: auto}}</style>"
 
 COLOURS = (64, 32, 16, 8)
-"""As many as leave a picture small enough."""
+"""The first number that leaves a picture small enough is taken."""
 
 
 def main() -> None:
@@ -40,12 +40,12 @@ def main() -> None:
 
 
 def small(png: bytes) -> bytes:
-    """The same picture with as few colours as it takes to be small."""
+    """The same picture with so few colours that it is small; rare ones, such as that of the letters, are not lost."""
     drawn = Image.open(io.BytesIO(png)).convert("RGB")
     found = b""
     for colours in COLOURS:
         file = io.BytesIO()
-        drawn.quantize(colours, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
+        drawn.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(file, "PNG", optimize=True)
         found = file.getvalue()
         if len(found) <= LARGEST:
             break
