@@ -19,7 +19,7 @@ from app.colours import of_filter
 from app.drawing import NO_TRUTH, draw_map, map_layer, scan_points
 from app.errors import UsageError
 from app.files import check_directory, write_whole
-from app.options import FILTERS, BelievedNoise, FilterOptions, LogOptions, WorldNoise, parameters
+from app.options import FILTERS, BelievedNoise, FilterOptions, LogOptions, WorldNoise, default, parameters
 from app.relations import ODOMETRY, PathErrors, relations_of
 from app.sources import LogParts, load
 from app.study.jobs import run_all
@@ -41,9 +41,10 @@ ALONE = {ODOMETRY: "odometry alone", MATCHING: "matching alone"}
 
 @dataclass(frozen=True)
 class _Tuning(FilterOptions):
-    """What the filters do; of their particles there are several numbers."""
+    """What the filters do; of their particles there are several numbers, and right angles have a study of their own."""
 
     particles: tyro.conf.Suppress[None] = None
+    orthogonal: tyro.conf.Suppress[bool] = False
 
 
 class Task(NamedTuple):
@@ -82,8 +83,8 @@ class LaserLog:
 
     Judged is the path of the best particle's lineage, as it is known at the end, at every scan of the log.
 
-    Example: dualslam study laser-log intel.log.gz --relations intel.relations.gz --reference intel.ref-graph.txt.gz
-    --closures 169:1820 7947:12473 --particles 30 100 --picture pictures/
+    Example: dualslam study laser-log csail.log.gz --relations csail.relations.gz --reference csail.ref-graph.txt.gz
+    --closures 739:994 302:1855 --particles 30 100 --picture pictures/
     """
 
     source: Annotated[Positional[str], values.word("LOG"), tyro.conf.arg(help_behavior_hint="")] = ""
@@ -92,15 +93,17 @@ class LaserLog:
     """Some of dfs, fs2, fs1, ekf."""
     particles: Annotated[tuple[int, ...], values.wholes("--particles", "K ...", PARAMS["particles"])] = (30, 100, 300)
     """Numbers of particles."""
-    relations: Annotated[Path | None, values.path("--relations", "FILE"), tyro.conf.arg(help_behavior_hint="")] = None
+    relations: Annotated[Path | None, values.path("--relations", "FILE"), default("none")] = None
     """Relations between two scans (Kuemmerle et al., 2009), by which to judge the paths."""
-    closures: Annotated[tuple[tuple[int, int], ...], values.spans("--closures", "A:B ...", Interval(0))] = ()
+    closures: Annotated[
+        tuple[tuple[int, int], ...], values.spans("--closures", "A:B ...", Interval(0)), default("none")
+    ] = ()
     """Pairs of scans, by their numbers in the whole log, at which the robot is in one place; needs true poses."""
     seeds: Annotated[int, values.whole("--seeds", "N", Interval(1))] = 10
     """How many seeds."""
     seed: SeedOption = 0
     """The first seed."""
-    picture: Annotated[Path | None, values.path("--picture", "DIR"), tyro.conf.arg(help_behavior_hint="")] = None
+    picture: Annotated[Path | None, values.path("--picture", "DIR"), default("not written")] = None
     """Maps of the first seed, over what the laser saw: <log>-<filter>-<K>.svg."""
     jobs: JobsOption = None
     """Processes; results do not depend on it."""

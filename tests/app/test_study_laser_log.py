@@ -12,10 +12,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from app import cli
+from app import cli, session
 from app.drawing import NO_TRUTH, Layer, draw_map, scan_points
 from app.study.laser_log import worse
 from app.study.path_fit import Fit
+from app.types import SessionInfo, SessionStep
 from slam.geometry import compose, invert
 from slam.types import Scan
 from tests.app.drive import STEPS, Drive, tum
@@ -142,6 +143,34 @@ def test_a_log_whose_stamps_are_numbers_has_no_real_time(
         assert run["real_time_factor"] * run["filter_s"] == pytest.approx(29 * period)
 
 
+def test_matching_alone_is_judged_as_odometry_is(
+    drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matching that finds the truth."""
+
+    class Matching:
+        def begin(self, info: SessionInfo) -> None:
+            pass
+
+        def step(self, step: SessionStep) -> None:
+            object.__setattr__(step, "matched", drive.truth[step.index - 1])
+
+        def end(self) -> None:
+            pass
+
+    run = session.run
+    monkeypatch.setattr(session, "run", lambda info, observers: run(info, [Matching(), *observers]))
+    options = ("--keyframe", "0,0", "--particles", 5, "--seeds", 2, "--reference", drive.reference)
+    found = saved(tmp_path, drive.log, *options, "--closures", "3:51")
+    assert set(found["alone"]) == {"odometry", "matching"}
+    assert found["alone"]["matching"]["closures_m"] == [pytest.approx(0.0, abs=1e-5)]
+    assert found["alone"]["matching"]["aligned_rms_m"] < 0.02 < found["alone"]["odometry"]["aligned_rms_m"]
+    assert found["cells"][0]["worse_than"]["matching"] == 2
+    out = capsys.readouterr().out
+    assert re.search(r"matching alone +\S+ +1 of 1 +1 of 1\s*\n", out)
+    assert "is worse than matching alone" in out
+
+
 # -- worse than without a filter ------------------------------------------------------------------------------------
 
 
@@ -259,6 +288,7 @@ def test_pictures_show_the_map_over_the_scans(drive: Drive, tmp_path: Path) -> N
         (("--closures", "-3:4"), "--closures is -3; expected a whole number"),
         (("--closures",), "--closures needs at least one value"),
         (("--picture", "/dev/null"), "--picture /dev/null is a file; expected a directory"),
+        (("--orthogonal",), "unknown option --orthogonal"),
         (("--inflate-r", "0"), "--inflate-r is 0; expected a number"),
         (("--association", "known"), "--association is known, but nobody knows"),
     ],
