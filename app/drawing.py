@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
@@ -11,16 +11,19 @@ import numpy as np
 
 from slam.features import Wall
 from slam.features.wall import ends
-from slam.geometry import ellipse_axes
-from slam.types import Bools, Floats
+from slam.geometry import compose, ellipse_axes
+from slam.types import Bools, Floats, Scan
 
-WIDTH = 900
-LARGEST_HEIGHT = 900
+WIDTH = 1000
+LARGEST_HEIGHT = 1000
 MARGIN = 36
 TRUTH_OPACITY = 0.35
 HEADER, FOOTER = 34, 46
 INK, PAPER = "#33373d", "#ffffff"
 FONT = "font-family='Helvetica, Arial, sans-serif'"
+SCANNED = (205, 208, 212)
+"""Of what the laser saw, which is behind everything else."""
+
 ENDS = "dot: an end of a wall that was seen; without it, the wall may go on"
 
 
@@ -61,6 +64,9 @@ class Layer(NamedTuple):
         return np.concatenate([self.path[:, :2], self.landmarks, self.walls.ends.reshape(-1, 2)])
 
 
+NO_TRUTH = Layer("", (0, 0, 0), np.zeros((0, 2)))
+
+
 def truth_layer(title: str, colour: tuple[int, int, int], path: Floats, theta: Floats) -> Layer:
     """True landmarks (n, 2) or walls (n, 4) x0 y0 x1 y1 [m]."""
     if theta.shape[1] == 2:
@@ -81,8 +87,23 @@ def map_layer(
     return Layer(title, colour, path, walls=walls)
 
 
-def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
-    """The picture of all layers on top of the truth, which is drawn broad and pale, its landmarks as crosses."""
+def scan_points(scans: Sequence[Scan | None], path: Floats) -> Floats:
+    """(N, 2) [m] what came back to the laser in each scan, seen from the pose (T, 3) at which it was taken."""
+    found = [np.zeros((0, 2))]
+    for scan, pose in zip(scans, path, strict=True):
+        if scan is not None:
+            x, y, heading = compose(pose, scan.origin)
+            back = np.isfinite(scan.ranges)
+            r, angle = scan.ranges[back], heading + scan.bearings[back]
+            found.append(np.stack([x + r * np.cos(angle), y + r * np.sin(angle)], axis=1))
+    return np.concatenate(found)
+
+
+def draw_map(title: str, truth: Layer, layers: list[Layer], scanned: Floats = NO_TRUTH.path) -> str:
+    """The picture of all layers on top of the truth, which is drawn broad and pale, its landmarks as crosses.
+
+    scanned (N, 2) [m]: places that the laser saw, as far as they are within the picture; behind everything.
+    """
     points = np.concatenate([layer.points() for layer in (truth, *layers)])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = np.maximum(high - low, 0.02 * max(float((high - low).max()), 1.0))
@@ -98,6 +119,7 @@ def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
 
     foot = height - 0.5 * FOOTER
     body = [f"<text x='{MARGIN}' y='26' {FONT} font-size='15' fill='{INK}'>{escape(title)}</text>"]
+    body += _cells(place(scanned), height)
     if len(truth.path):
         body.append(_route(place(truth.path), truth.colour, width=2.5 if truth.has_walls else 5, opacity=TRUTH_OPACITY))
     body += _crosses(place(truth.landmarks), truth.colour)
@@ -107,9 +129,10 @@ def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
         body += _ellipses(layer, place, scale)
         body += _dots(place(layer.landmarks), layer.colour)
         body += _bands(layer, place, scale)
-        body += _lines(place(layer.walls.ends), layer.colour, width=2, opacity=0.95)
-        body += _dots(place(layer.walls.ends)[layer.walls.seen], layer.colour)
+        body += _lines(place(layer.walls.ends), layer.colour, width=1.6, opacity=0.95)
+        body += _ends(place(layer.walls.ends)[layer.walls.seen], layer.colour)
     shown = [truth, *layers] if len(truth.points()) else layers
+    shown += [Layer("seen by the laser", SCANNED, scanned)] if len(scanned) else []
     body += _legend(shown, truth.title, foot)
     if any(layer.has_walls for layer in layers):
         body.append(f"<text x='{MARGIN}' y='{foot + 19:.0f}' {FONT} font-size='11' fill='{INK}'>{ENDS}</text>")
@@ -121,6 +144,20 @@ def draw_map(title: str, truth: Layer, layers: list[Layer]) -> str:
 
 def _hex(colour: tuple[int, int, int]) -> str:
     return "#" + "".join(f"{int(part):02x}" for part in colour[:3])
+
+
+def _cells(points: Floats, height: float) -> Iterator[str]:
+    """The pixels that points fall into, as horizontal runs in one element: each with the way from the one before."""
+    inside = (points >= [0, HEADER]).all(axis=1) & (points < [WIDTH, height - FOOTER]).all(axis=1)
+    cells = np.unique(points[inside].astype(np.int64)[:, ::-1], axis=0)
+    if not len(cells):
+        return
+    begins = np.flatnonzero((np.diff(cells, axis=0, prepend=-2) != [0, 1]).any(axis=1))
+    y, x = cells[begins].T
+    long = np.diff(begins, append=len(cells))
+    dx, dy = np.diff(x, prepend=0) - np.append(0, long[:-1]), np.diff(y, prepend=0)
+    d = "".join(f"m{a} {b}h{n}" for a, b, n in zip(dx.tolist(), dy.tolist(), long.tolist(), strict=True))
+    yield f"<path class='scanned' d='{d}' transform='translate(0 .5)' stroke='{_hex(SCANNED)}' fill='none'/>"
 
 
 def _route(points: Floats, colour: tuple[int, int, int], width: float, opacity: float) -> str:
@@ -168,6 +205,13 @@ def _crosses(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
 def _dots(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
     for x, y in points:
         yield f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.6' fill='{_hex(colour)}' fill-opacity='0.85'/>"
+
+
+def _ends(points: Floats, colour: tuple[int, int, int]) -> Iterator[str]:
+    """Small dots, in one element: there may be thousands."""
+    if len(points):
+        d = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in points)
+        yield f"<path class='ends' d='{d}' stroke='{_hex(colour)}' stroke-width='3.4' stroke-linecap='round'/>"
 
 
 def _ellipses(layer: Layer, place: Callable[[Floats], Floats], scale: float) -> Iterator[str]:

@@ -4,7 +4,7 @@
     <filter>-online.tum   the estimate (mean of the mixture) as it was at each step
     truth.tum, odometry.tum
     <filter>.geojson      map and path of the best particle
-    <filter>.svg          a picture of the same; map.svg: all filters in one
+    <filter>.svg          a picture of the same, of a laser log over what the laser saw; map.svg: all filters in one
 
 A `.tum` line is `time x y z qx qy qz qw`, one for every observation, with the source's own stamp.  Metres.
 
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from app.colours import TRUTH, of_filter
-from app.drawing import Layer, draw_map, map_layer, truth_layer
+from app.drawing import Layer, draw_map, map_layer, scan_points, truth_layer
 from app.files import write_whole
 from app.types import SessionInfo, SessionStep, best_descendant, best_path
 from scenarios.logs.keyframes import every_scan
@@ -78,13 +78,21 @@ class Trajectory:
             feature = self._info.source.feature
             self._write(f"{key}.geojson", geojson(estimator.title, path, feature, theta, Sigma, tags))
             layers[key] = map_layer(estimator.title, of_filter(key), path, feature, theta, Sigma)
-            self._write(f"{key}.svg", self._picture([layers[key]], truth))
-        self._write("map.svg", self._picture(list(layers.values()), truth))
+            self._write(f"{key}.svg", self._picture([layers[key]], truth, self._scanned(path)))
+        self._write("map.svg", self._picture(list(layers.values()), truth, np.zeros((0, 2))))
 
-    def _picture(self, layers: list[Layer], truth: Floats) -> str:
-        true_map = self._info.source.true_map
+    def _scanned(self, path: Floats) -> Floats:
+        """(N, 2) what the laser of a log saw from the poses (T, 3) of the first T steps."""
+        source = self._info.source
+        if source.scans is None:
+            return np.zeros((0, 2))
+        return scan_points([step.frame.scan for step in source.steps[: len(path)]], path)
+
+    def _picture(self, layers: list[Layer], truth: Floats, scanned: Floats) -> str:
+        source = self._info.source
+        true_map = source.true_map
         backdrop = truth_layer("truth", TRUTH, truth, np.zeros((0, 2)) if true_map is None else true_map.theta)
-        return draw_map(f"{self._info.source.title}, seed {self._info.seed}", backdrop, layers)
+        return draw_map(f"{source.title}, seed {self._info.seed}", backdrop, layers, scanned)
 
     def _write_path(self, name: str, poses: Floats, fit: bool = True) -> None:
         """The poses (T, 3) of the steps, with those of the scans of a log that lie between, ordered by their stamps."""

@@ -72,6 +72,18 @@ def pair(option: str, metavar: str, limits: Interval) -> Any:
     return _spec(metavar, read)
 
 
+def spans(option: str, metavar: str, limits: Interval) -> Any:
+    """One or more pairs of whole numbers, with a colon between the two."""
+
+    def read(text: str) -> tuple[int, int]:
+        found = text.split(":")
+        if len(found) != 2:
+            raise UsageError(f"{option} is {text!r}; expected two whole numbers with a colon between them")
+        return _number(option, found[0], int, limits), _number(option, found[1], int, limits)
+
+    return _spec(metavar, lambda texts: tuple(read(text) for text in _some(option, texts)), many=True)
+
+
 def choice(option: str, names: Sequence[str]) -> Any:
     """One of a few names."""
     return _spec("|".join(names), lambda text: _choose(option, text, names))

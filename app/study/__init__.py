@@ -8,6 +8,7 @@ from __future__ import annotations
 from app.study.association import AssociationStudy
 from app.study.corridor_spread import CorridorSpread
 from app.study.extraction import ExtractionStudy
+from app.study.laser_log import LaserLog
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
 from app.study.orthogonality import OrthogonalityStudy
@@ -17,6 +18,7 @@ from app.study.rotation_spread import RotationSpread
 STUDIES: dict[str, type] = {
     "paper-table": PaperTable,
     "log-error": LogError,
+    "laser-log": LaserLog,
     "association": AssociationStudy,
     "loop-closure": LoopClosure,
     "corridor-spread": CorridorSpread,

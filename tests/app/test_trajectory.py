@@ -172,8 +172,9 @@ def test_walls_are_drawn_where_they_are(written):
         scale = (x.max() - x.min()) / (x_m.max() - x_m.min())
         np.testing.assert_allclose(x - x.min(), scale * (x_m - x_m.min()), atol=0.2)
         np.testing.assert_allclose(y.max() - y, scale * (y_m - y_m.min()), atol=0.2)
-        dots = [e for e in root.iter() if e.tag.endswith("circle")]
-        assert len(dots) == int(theta[:, 5:7].sum()) > 0
+        (dots,) = [e.attrib["d"] for e in root.iter() if e.attrib.get("class") == "ends"]
+        assert dots.count("h0") == int(theta[:, 5:7].sum()) > 0
+        assert not [e for e in root.iter() if e.attrib.get("class") == "scanned"]  # of logs only
 
 
 def test_the_bands_of_walls_are_two_deviations_wide():
