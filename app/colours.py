@@ -22,6 +22,8 @@ TRUTH: RGB = (60, 60, 60)
 
 TRUTH_ON_DARK: RGB = (238, 238, 238)
 ODOMETRY: RGB = (130, 130, 130)
+MATCHING: RGB = (190, 190, 190)
+"""Odometry as scan matching corrects it."""
 WARNING: RGB = (240, 228, 66)
 
 MATCHED: RGB = (240, 228, 66)

@@ -25,6 +25,7 @@ from slam.types import (
     UNKNOWN_TAG,
     AssociationName,
     Frame,
+    MatchingName,
     Noise,
     Params,
     ProposalWeightName,
@@ -34,7 +35,7 @@ from slam.types import (
 
 FILTERS = ("dfs", "fs2", "fs1", "ekf")
 
-PRESETS = {"paper": presets.PAPER, "building": presets.BUILDING}
+PRESETS = {"paper": presets.PAPER, "building": presets.BUILDING, "log": presets.LOG}
 
 
 def default(text: str) -> Any:
@@ -89,6 +90,9 @@ class FilterOptions:
     """Walls: the same of their angle."""
     orthogonal: bool = False
     """Walls, EKF-SLAM: those that may be parallel or at right angles to the first one are made so."""
+    matching: Annotated[str | None, values.choice("--matching", get_args(MatchingName)), _USUAL["matching"]] = None
+    """Laser scans are matched with those before, and correct the odometry: always (on), or where it is to be trusted
+    (auto)."""
     log_p_new: Annotated[float | None, values.real("--log-p-new", "X", PARAMS["log_p_new"]), _USUAL["log_p_new"]] = None
     """Added to the log weight for every observation taken for a new landmark."""
     resampler: Annotated[str | None, values.choice("--resampler", get_args(ResamplerName)), _USUAL["resampler"]] = None
@@ -99,7 +103,7 @@ class FilterOptions:
     """Resample when N_eff falls below this fraction of K: 0 never, 1 always."""
     preset: Annotated[str | None, values.choice("--preset", tuple(PRESETS)), default("none")] = None
     """A set of parameters, whatever the world or log suggests: paper is the honest R, temper 1, one gate; building is
-    what worlds of walls have by default, tempered and with wide gates."""
+    what worlds of walls have by default, tempered and with wide gates; log is what the logs of lasers have."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +204,7 @@ def parameters(
     given.pop("preset", None)
     if not filters.orthogonal:  # a flag that is not there says nothing
         given.pop("orthogonal")
-    idle = next((name for name in ("floor_lateral", "floor_angle", "orthogonal") if name in given), None)
+    idle = next((name for name in ("floor_lateral", "floor_angle", "orthogonal", "matching") if name in given), None)
     if idle is not None and isinstance(source.feature, Point):
         raise UsageError(
             f"--{idle.replace('_', '-')} does not apply to {source.name}: it is for walls, and landmarks are seen there"

@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
+from slam.perception.matching import Track
 
 from app.compiling import CompileClock, uninterrupted_compilation
 from app.interrupt import Interrupts
@@ -25,7 +26,8 @@ from slam.genealogy import Genealogy
 from slam.metrics import measure
 from slam.motion import propagate
 from slam.perception import perceive
-from slam.types import Estimator, Floats, Noise, Params, Particles
+from slam.perception.odometry import correct_odometry
+from slam.types import Estimator, Floats, Frame, Noise, Params, Particles
 
 WORLD = "world"
 
@@ -37,6 +39,10 @@ class State(NamedTuple):
     """Number of steps."""
     odometry: Floats
     """(3,) dead reckoning."""
+    matched: Floats
+    """(3,) dead reckoning, corrected by scan matching where that is used."""
+    track: Track | None
+    """What the next scan is matched with."""
     filters: dict[str, tuple[Any, Genealogy]]
     """What each filter needs for its next step."""
 
@@ -54,7 +60,8 @@ def start(info: SessionInfo) -> State:
         state = estimator.init(source.feature, source.start, source.start_covariance, info.params)
         particles: Particles = getattr(state, "particles", state)  # an `EkfState` has them inside
         states[estimator.key] = (state, Genealogy.start(particles.s))
-    return State(0, np.array(source.start, float), states)
+    pose = np.array(source.start, float)
+    return State(0, pose, pose, None, states)
 
 
 def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, SessionStep]:
@@ -65,9 +72,9 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
     frame = add_noise(stream(info.seed, WORLD, index), exact, info.noise) if noisy else exact
     frame = perceive(frame, params)
 
-    odometry = state.odometry
-    for u, dt in zip(frame.u, frame.dt, strict=True):
-        odometry = np.array(propagate(frame.motion, odometry, u, dt)[0])
+    odometry = _moved(state.odometry, frame)
+    track, frame, match = correct_odometry(state.track, frame, params)
+    matched = _moved(state.matched, frame)
 
     states: dict[str, tuple[Any, Genealogy]] = {}
     updates: dict[str, FilterUpdate] = {}
@@ -83,8 +90,25 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
         states[estimator.key] = (after, genealogy)
         updates[estimator.key] = FilterUpdate(trace, seconds, measures, genealogy)
 
-    step = SessionStep(index, frame, truth, odometry, params, info.noise, updates)
-    return State(index, odometry, states), step
+    step = SessionStep(
+        index,
+        frame,
+        truth,
+        odometry,
+        params,
+        info.noise,
+        updates,
+        matched=None if match is None else matched,
+        match=match,
+    )
+    return State(index, odometry, matched, track, states), step
+
+
+def _moved(pose: Floats, frame: Frame) -> Floats:
+    """The pose (3,) after the motion that the frame tells of."""
+    for u, dt in zip(frame.u, frame.dt, strict=True):
+        pose = np.array(propagate(frame.motion, pose, u, dt)[0])
+    return pose
 
 
 class Change(NamedTuple):

@@ -18,6 +18,7 @@ from app.errors import UsageError, listed, suggestion
 from scenarios.indoor import WALLS_ONLY
 from scenarios.logs import part, read_log
 from scenarios.logs.keyframes import USUAL, keyframes
+from scenarios.logs.learning import with_learned_odometry
 from scenarios.logs.reference import with_reference
 from scenarios.registry import WorldEntry, build, worlds
 from scenarios.types import Source, SourceError
@@ -77,7 +78,7 @@ def load(name: str, own: Mapping[str, str], parts: LogParts) -> Source:
     if log.scans is None:
         return log
     distance, turn = USUAL if parts.keyframe is None else (parts.keyframe[0], math.radians(parts.keyframe[1]))
-    return keyframes(log, distance, turn)
+    return keyframes(with_learned_odometry(log), distance, turn)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
     <filter>.tum          the path of the best particle's lineage, as it is known at the end
     <filter>-online.tum   the estimate (mean of the mixture) as it was at each step
     truth.tum, odometry.tum
+    matching.tum          odometry as scan matching corrects it, where that is on
     <filter>.geojson      map and path of the best particle
     <filter>.svg          a picture of the same, of a laser log over what the laser saw; map.svg: all filters in one
 
@@ -39,6 +40,7 @@ class Trajectory:
         self.directory = directory
         self._truth: list[tuple[float, Floats]] = []
         self._odometry: list[Floats] = []
+        self._matched: list[Floats] = []
         self._online: dict[str, list[Floats]] = {}
         self._last: SessionStep | None = None
 
@@ -50,6 +52,8 @@ class Trajectory:
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
         self._odometry.append(step.odometry)
+        if step.matched is not None:
+            self._matched.append(step.matched)
         if step.truth is not None:
             self._truth.append((float(step.frame.time), step.truth))
         for key, update in step.filters.items():
@@ -64,6 +68,8 @@ class Trajectory:
         truth_times = np.array([time for time, _ in self._truth])
         truth = np.array([pose for _, pose in self._truth]).reshape(-1, 3)
         self._write_path("odometry.tum", np.array(self._odometry))
+        if len(self._matched) == len(self._odometry):
+            self._write_path("matching.tum", np.array(self._matched))
         if len(truth):
             self._write("truth.tum", tum(truth_times, truth))
             truth = with_gaps(truth_times, truth)

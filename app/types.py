@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from slam.perception.matching import Match
 
 from scenarios.types import Source
 from slam.genealogy import Genealogy
@@ -64,6 +65,10 @@ class SessionStep:
     """By filter key, in the order they were asked for."""
     changes: tuple[str, ...] = ()
     """Sentences on parameters that changed at the top of this step."""
+    matched: Floats | None = None
+    """(3,) the pose by the same controls, corrected by scan matching where that is used; None without it."""
+    match: Match | None = None
+    """What matching the scan has found; None without it."""
     picked: tuple[str, int] | None = None
     """A particle that somebody looks at: its filter, and its index in `Trace.weighted`."""
 

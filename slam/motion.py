@@ -98,10 +98,22 @@ class Ackermann(NamedTuple):
 
 
 class Odometry(NamedTuple):
-    """Controls are increments (dx, dy, dphi) [m, m, rad] in the robot's frame, as wheel odometry integrates them."""
+    """Controls are increments (dx, dy, dphi) [m, m, rad] in the robot's frame, as wheel odometry integrates them.
+
+    What is wrong with them is given in parts of `Noise.odometry`, the deviation ahead after one metre (ours).
+    """
 
     turn_per_metre: float = 0.1
-    """[rad/m] of travel that counts, beside the turn itself, as motion that the heading error grows with (ours)."""
+    """[rad/m] of the heading, for the way."""
+    turn_per_radian: float = 1.0
+    """[rad/rad] of the heading, for the turn."""
+    lateral: float = 1.0
+    """Sideways, for the way."""
+    slip: float = 0.0
+    """[m/rad] Ahead and sideways, for the turn."""
+    walk: bool = False
+    """Whether errors of one increment say nothing of the next one: then variances grow with the motion, however many
+    increments there are of it; if not, the deviation of each is in proportion to it."""
 
     controls = 3
 
@@ -117,10 +129,14 @@ class Odometry(NamedTuple):
 
     @staticmethod
     def deviation(motion: Odometry, u: Floats, noise: Noise) -> Floats:
-        """noise.odometry times the travel for dx and dy; times the turn and `turn_per_metre` of the travel for dphi."""
-        travel = np.hypot(u[:, 0], u[:, 1])
-        turn = np.hypot(u[:, 2], motion.turn_per_metre * travel)
-        return noise.odometry * np.stack([travel, travel, turn], axis=1)
+        """Of each increment, for its way and its turn."""
+        way, turned = np.hypot(u[:, 0], u[:, 1]), np.abs(u[:, 2])
+        if motion.walk:
+            way, turned = np.sqrt(way), np.sqrt(turned)
+        ahead = np.hypot(way, motion.slip * turned)
+        sideways = np.hypot(motion.lateral * way, motion.slip * turned)
+        heading = np.hypot(motion.turn_per_radian * turned, motion.turn_per_metre * way)
+        return noise.odometry * np.stack([ahead, sideways, heading], axis=1)
 
 
 class Matched(NamedTuple):

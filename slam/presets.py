@@ -24,3 +24,10 @@ Scans of one wall are no independent evidence, and particles are to differ when 
 `inflate_r`.  The gates are wide because odometry that reports a turn too small reports a deviation too small as well,
 and a particle that loses all walls in a corner draws the next ones at a wrong angle.
 """
+
+LOG: dict[str, Any] = {**BUILDING, "temper": 0.03, "matching": "auto"}
+"""For the logs of real lasers (ours).
+
+The wall of an observation is seen in some thirty of them (19 to 52, over three logs), and what is wrong with it, or
+with the way it is read, is wrong in all: so all of them together count as one.
+"""

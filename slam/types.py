@@ -34,6 +34,7 @@ AssociationName = Literal["known", "nearest", "jcbb"]
 WeightingName = Literal["marginal", "joint"]
 ProposalWeightName = Literal["integrated", "drawn"]
 ResamplerName = Literal["systematic", "stratified", "residual", "multinomial"]
+MatchingName = Literal["off", "on", "auto"]
 
 
 class Scan(NamedTuple):
@@ -60,7 +61,7 @@ class Frame(NamedTuple):
     time: float
     """[s] of the observation."""
     motion: Any
-    """The motion model of `u`: `Unicycle()`, `Ackermann(...)` or `Odometry()`."""
+    """The motion model of `u`: `Unicycle()`, `Ackermann(...)`, `Odometry()` or `Matched(...)`."""
     u: Floats
     """(T, m) control ticks: (v, w) [m/s, rad/s], (v, steering) [m/s, rad] or increments (dx, dy, dphi) [m, m, rad]."""
     dt: Floats
@@ -74,6 +75,8 @@ class Frame(NamedTuple):
     No two in one frame are alike, and none exceeds 2^53."""
     scan: Scan | None = None
     """What the laser saw, if there is one: `slam.perception` makes z of it."""
+    between: tuple[Scan, ...] = ()
+    """Scans on the way here, one after each control tick but the last, or none at all.  Only scan matching asks."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,9 @@ class Params:
     """[rad] The same of its angle."""
     orthogonal: bool = False
     """EKF-SLAM on walls: a new wall that may be parallel or at right angles to the first one is made so."""
+    matching: MatchingName = "off"
+    """Laser scans are matched with those before, once for all particles, and the result takes the place of the odometry
+    (5.2): "on" wherever there is one, "auto" only where it is to be trusted."""
     log_p_new: float = 0.0
     """Added to the log density of an unmatched observation (unknown association only)."""
     resampler: ResamplerName = "systematic"

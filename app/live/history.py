@@ -31,7 +31,7 @@ FEWEST = 8
 """However large they are."""
 
 SNAPSHOT_BYTES = 160e6
-"""Of all snapshots of all branches, about: with many particles, large maps and long ancestries there are fewer of them."""
+"""Of all snapshots of all branches, about: fewer, with many particles and long ancestries."""
 
 MOST_BRANCHES = 32
 """Every one has a tree of its own in the recording."""

@@ -23,6 +23,7 @@ from slam.features import Wall
 from slam.types import (
     UNKNOWN_TAG,
     AssociationName,
+    MatchingName,
     ProposalWeightName,
     ResamplerName,
     WeightingName,
@@ -153,6 +154,12 @@ def filter_controls(source: Source) -> list[Control]:
     ]
     if isinstance(source.feature, Wall):
         controls += [
+            Choice(
+                "matching",
+                "scan matching",
+                "Each scan is matched with those before and corrects the odometry: on, or where it can be trusted.",
+                get_args(MatchingName),
+            ),
             Number("floor_lateral", "floor, lateral [m]", "Deviation that a known wall is allowed.", 0.0, 0.5, 0.005),
             Number("floor_angle", "floor, angle [°]", "The same of its angle.", 0.0, 5.0, 0.05, DEGREE),
             Switch(

@@ -3,7 +3,7 @@
 A recording has the application id `dual-fastslam`, holds all filters of a session, and opens in any Rerun viewer
 (`blueprint`).  Its entities, with <filter> a short name such as `dfs`:
 
-    /world/truth/{robot,path,map}   /world/odometry/path
+    /world/truth/{robot,path,map}   /world/odometry/path   /world/matching/path
     /world/scan                     what was seen, from the true pose: rays to landmarks, or where a laser met something
     /world/<filter>/particles       positions, coloured by weight, and headings; with walls, the best one's ellipse
     /world/<filter>/ellipses        2-sigma pose covariance of every particle

@@ -178,7 +178,9 @@ def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb
 
 
 def _surroundings(branch: Shown) -> list[str]:
-    return [f"+ {branch.at(what)}" for what in ("world/truth/**", "world/odometry/**", "world/scan")]
+    return [
+        f"+ {branch.at(what)}" for what in ("world/truth/**", "world/odometry/**", "world/matching/**", "world/scan")
+    ]
 
 
 def _grid(spacing: float) -> rrb.LineGrid3D:

@@ -24,6 +24,10 @@ class Extent(NamedTuple):
     low: Floats
     high: Floats
 
+    def holds(self, xy: Floats) -> bool:
+        """Whether all points (n, 2) lie in it."""
+        return bool((xy >= self.low).all() and (xy <= self.high).all())
+
     @property
     def size(self) -> float:
         """[m] the longer side."""
@@ -38,6 +42,35 @@ class Extent(NamedTuple):
         """[m] from where a view, `aspect` times as wide as high, sees all of it."""
         width, height = self.high - self.low
         return float(MARGIN * max(height, width / aspect, 1.0) / FIELD)
+
+
+class Survey:
+    """The part of the plane where a filter has been, for where nobody knows beforehand: dead reckoning goes astray."""
+
+    def __init__(self, extent: Extent) -> None:
+        self._shown = extent
+        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
+
+    def outgrown(self, step: SessionStep) -> Extent | None:
+        """What to show from now on, if an estimate has left what is shown: with room to go on."""
+        places = np.array([update.measures.estimate[:2] for update in step.filters.values()]).reshape(-1, 2)
+        places = places[np.isfinite(places).all(axis=1)]
+        if not len(places):
+            return None
+        self._low = np.minimum(self._low, places.min(axis=0))
+        self._high = np.maximum(self._high, places.max(axis=0))
+        if self._shown.holds(places):
+            return None
+        self._shown = self._with_room(0.5)
+        return self._shown
+
+    def found(self) -> Extent | None:
+        """What has been visited, with a margin; None if nothing was."""
+        return self._with_room(0.08) if np.isfinite(self._low).all() else None
+
+    def _with_room(self, share: float) -> Extent:
+        room = max(share * float(max(self._high - self._low)), 5.0)
+        return Extent(self._low - room, self._high + room)
 
 
 def extent_of(source: Source, steps: int) -> Extent:

@@ -85,6 +85,7 @@ def looks_of_surroundings() -> dict[str, list[Any]]:
         "truth/robot": [dots(white, 4.0), rr.Arrows3D.from_fields(colors=white, radii=rr.Radius.ui_points(1.2))],
         "truth/path": [strokes(white, 1.2)],
         "odometry/path": [strokes(colours.ODOMETRY, 1.2)],
+        "matching/path": [strokes(colours.MATCHING, 1.2)],
     }
 
 

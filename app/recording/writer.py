@@ -16,7 +16,7 @@ from app import colours
 from app.events import Watch
 from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
-from app.recording.ground import extent_of, known, observer
+from app.recording.ground import Extent, Survey, extent_of, known, observer
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
@@ -96,6 +96,7 @@ class Writer:
         """[s] when the truth was known last."""
         self._truth_lost = False
         """Whether nobody has known it since, for longer than `TRUTH_GAP`."""
+        self._matched: list[Floats] = []
         self._odometry: list[Floats] = [] if trunk else [np.asarray(info.source.start, float)]
         first = info.source.steps[0].frame.time if info.source.steps else 0.0
         self._time_origin = first if abs(first) > EPOCH else 0.0
@@ -103,6 +104,8 @@ class Writer:
         extent = extent_of(info.source, info.steps)
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
+        way_known = any(step.truth is not None for step in info.source.steps[: info.steps])
+        self._survey = None if way_known or info.source.kind == "world" else Survey(extent)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
@@ -136,6 +139,12 @@ class Writer:
         self.show()
         return self._branches[path]
 
+    def _look_at(self, extent: Extent | None) -> None:
+        """Have the windows show another part of the plane, unless it is None."""
+        if extent is not None:
+            self._shown = self._shown._replace(extent=extent)
+            self.show()
+
     def show(self) -> None:
         """Lay out the windows anew: the run with its branches."""
         if self._trunk is not None:
@@ -156,6 +165,8 @@ class Writer:
         self._stream.set_time(stage, *now)
         self._notice(step.filters.keys())
         self._remember(step)
+        if self._survey is not None:
+            self._look_at(self._survey.outgrown(step))
         if detail != "numbers":
             self._write_pictures(step, stage, now, detail)
 
@@ -205,6 +216,8 @@ class Writer:
 
     def close(self) -> None:
         """Complete the file."""
+        if self._survey is not None:
+            self._look_at(self._survey.found())
         self._stream.close()
 
     def _write_static(self) -> None:
@@ -274,6 +287,8 @@ class Writer:
         elif self._truth and step.frame.time - self._truth_seen > TRUTH_GAP:
             self._truth_lost = True
         self._odometry.append(step.odometry)
+        if step.matched is not None:
+            self._matched.append(step.matched)
 
     def _write_surroundings(self, step: SessionStep, everything: bool) -> None:
         redraw = everything or due(step.index, self._info.steps, self._limits.paths)
@@ -289,6 +304,9 @@ class Writer:
         if redraw:
             path = thinned(np.array(self._odometry), self._limits.vertices)
             log("world/odometry/path", scene.lines([path], scene.ODOMETRY * z))
+            if len(self._matched) > 1:
+                path = thinned(np.array(self._matched), self._limits.vertices)
+                log("world/matching/path", scene.lines([path], scene.ODOMETRY * z))
         log("world/scan", *self._features.scan(step.frame, observer(step), z))
 
     def _write_focus(self, key: str, update: FilterUpdate, truth: Floats | None) -> None:

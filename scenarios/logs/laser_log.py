@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,16 +15,23 @@ from scenarios.types import LogScans, Source, SourceError, Step
 from slam.features import Wall
 from slam.geometry import circular_mean, compose, invert, wrap_all
 from slam.motion import Odometry
-from slam.presets import BUILDING
+from slam.presets import LOG
 from slam.types import Floats, Frame, Ints, Noise, Scan
 
-BELIEVED = Noise(range=0.02, odometry=0.4)
-"""Deviations of a measured range, SICK lasers with steps of 1 to 5 cm, and of an increment of odometry.
+ODOMETRY = 0.4
+"""Deviation of an increment of odometry, as a fraction of the motion.
 
 Real odometry errs in one direction for long, as independent errors do not, and so more is believed of each: with Dual
 FastSLAM, K = 100 and seed 0, relations of mit-csail are .28, .11 and .51 m off with .2, .4 and .8, those of intel 4.0,
 .26 and .16 m.
 """
+
+LEAST_RANGE_NOISE = 0.01
+"""[m] that is believed of a measured range at least: beside the noise from beam to beam there are errors that all beams
+of a scan share."""
+
+NEARBY = 8.0
+"""[m] within which walls are nearly straight from beam to beam."""
 
 TOP = 0.01
 """The share of the largest range of a log in which the values lie that stand for no return: 81.83 to 81.91 m, 51.05 to
@@ -34,6 +42,9 @@ MARGIN = 0.002
 
 CROWD = 10
 """How many times more readings than in the `TOP` below there must be, for these to be no returns."""
+
+NORMAL_MEDIAN = 0.6745
+"""The median of the absolute value of a standard normal number."""
 
 FIXED = (0.05, 0.05)
 """[m, rad] within which the laser stays in its place on the robot, for 95 of 100 scans.  Where it does not, its pose is
@@ -138,9 +149,9 @@ def source_of(log: LaserLog) -> Source:
         feature=Wall(),
         steps=tuple(_steps(log, beams, origin, reference)),
         start=(log.odometry if reference is None else reference)[0].copy(),
-        noise=BELIEVED,
+        noise=Noise(range=range_noise(beams), odometry=ODOMETRY),
         max_range=max(group.limit for group in beams),
-        defaults=dict(BUILDING),
+        defaults=dict(LOG),
         warnings=(*log.warnings, *warnings, *_time_warnings(log), *_leap_warnings(log)),
         scans=LogScans(log.stamps, log.odometry, np.arange(len(log.stamps))),
     )
@@ -251,6 +262,22 @@ def _cleaned(log: LaserLog) -> tuple[list[Beams], list[str]]:
             limit = largest * ALMOST
         cleaned.append(group._replace(ranges=_silenced(group.ranges, good, limit), limit=limit))
     return cleaned, warnings
+
+
+def range_noise(groups: Sequence[Beams]) -> float:
+    """[m] deviation of a range, as a log shows it itself; the steps that a scanner rounds to are in it.
+
+    Along a wall ranges change evenly from beam to beam.  So the second difference of three neighbours is noise, of six
+    times the variance of one, but where something begins or ends: hence its median.
+    """
+    seen = []
+    for group in groups:
+        with np.errstate(invalid="ignore"):
+            second = group.ranges[:, 2:] - 2.0 * group.ranges[:, 1:-1] + group.ranges[:, :-2]
+            seen.append(np.abs(second[np.isfinite(second) & (group.ranges[:, 1:-1] < NEARBY)]))
+    values = np.concatenate([*seen, np.zeros(0)])
+    found = float(np.median(values)) / NORMAL_MEDIAN / math.sqrt(6.0) if len(values) else 0.0
+    return max(found, LEAST_RANGE_NOISE)
 
 
 def _silenced(ranges: Floats, good: NDArray[np.bool_], limit: float) -> Floats:

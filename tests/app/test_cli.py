@@ -226,7 +226,7 @@ def test_every_parameter_is_an_option():
 
 def test_fixed_names():
     """Scripts and lessons rely on these."""
-    names = """filters particles seed steps association gate weighting inflate-r temper resampler resample-below
+    names = """filters particles seed steps association gate weighting inflate-r temper matching resampler resample-below
     preset robot from to every keyframe reference relations align record summary trajectory noise.speed noise.turn
     noise.range noise.bearing
     noise.odometry noise.missing believed.odometry believed.speed believed.turn believed.range believed.bearing"""
@@ -259,7 +259,7 @@ def test_options_reach_the_parameters():
         resampler="residual",
         resample_below=0.5,
     )
-    line = "run loop --floor-lateral 0.01 --floor-angle 0.3 --orthogonal --filters ekf"
+    line = "run loop --floor-lateral 0.01 --floor-angle 0.3 --orthogonal --matching on --filters ekf"
     command, _ = command_line.parse(line.split())
     source = build("loop")
     _, params = parameters(source, command.filter, command.noise, command.believed)

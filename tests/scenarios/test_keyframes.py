@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from scenarios.logs import dead_reckoning, part, read_log
-from scenarios.logs.keyframes import every_scan, keyframes
+from scenarios.logs.keyframes import PASSING, every_scan, keyframes
 from scenarios.logs.odometry import LEVER, path_length, travelled
 from scenarios.logs.reference import with_reference
 from scenarios.registry import build
@@ -68,11 +68,28 @@ def test_between_keyframes_the_robot_has_moved_just_so_far(source: Source, dista
         assert moved(i, k) or k == COUNT - 1
         assert not any(moved(i, between) for between in range(i + 1, k))
     assert_poses(dead_reckoning(few), raw(source)[index])
-    assert all(step.frame.u.shape == (1, 3) and step.frame.dt.shape == (1,) for step in few.steps)
     assert [step.frame.time for step in few.steps] == [source.steps[i].frame.time for i in index]
     assert all(step.frame.scan is source.steps[i].frame.scan for step, i in zip(few.steps, index, strict=True))
-    assert sum(step.frame.dt[0] for step in few.steps) == pytest.approx(0.4 * (COUNT - 1))
+    assert sum(step.frame.dt.sum() for step in few.steps) == pytest.approx(0.4 * (COUNT - 1))
     assert few.options["keyframe"] == [distance, pytest.approx(turn)]
+
+
+def test_scans_on_the_way_are_kept_for_matching(source: Source) -> None:
+    few = keyframes(source, 1.0, math.radians(45))
+    scans = {id(step.frame.scan): i for i, step in enumerate(source.steps)}
+    ways = 0
+    for begin, end, step in zip(kept(few), kept(few)[1:], few.steps[1:], strict=False):
+        frame = step.frame
+        assert len(frame.u) == len(frame.dt) == len(frame.between) + 1
+        index = [begin, *(scans[id(scan)] for scan in frame.between), end]
+        for i, k, u, dt in zip(index, index[1:], frame.u, frame.dt, strict=False):
+            assert i < k
+            assert_poses(u[None], compose(invert(raw(source)[i]), raw(source)[k])[None])
+            assert dt == pytest.approx(0.4 * (k - i))
+            if k != end:
+                ways += 1
+                assert math.hypot(u[0], u[1]) >= PASSING[0] or abs(u[2]) >= PASSING[1]
+    assert ways > 4
 
 
 def test_without_distance_every_scan_is_a_keyframe(source: Source) -> None:
@@ -84,7 +101,7 @@ def test_whole_turns_count(tmp_path: Path) -> None:
     poses = np.array([[0.0, 0.0, wrap_all(np.array(0.5 * k))] for k in range(20)])
     few = keyframes(read_log(write(tmp_path, plain_log(poses))), 1.0, 7.0)
     assert kept(few) == [0, 14, 19]
-    assert few.steps[1].frame.u[0] == pytest.approx([0.0, 0.0, 7.0], abs=1e-4)
+    assert few.steps[1].frame.u.sum(axis=0) == pytest.approx([0.0, 0.0, 7.0], abs=1e-4)
 
 
 def test_keyframes_of_a_simulated_world() -> None:

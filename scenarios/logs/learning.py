@@ -1,0 +1,35 @@
+"""What is wrong with the odometry of a laser log, as its own scans show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from scenarios.logs.odometry import increments
+from scenarios.types import Source
+from slam.motion import Odometry
+from slam.perception.matching import odometry_noise
+
+
+def with_learned_odometry(source: Source) -> Source:
+    """The source with the noise of odometry that some hundred of its scans show, matched with each other.
+
+    For a laser log, before keyframes are chosen.  `Noise.odometry` is then the deviation ahead after one metre, and the
+    motion model of each frame has the others.
+    """
+    scans = [step.frame.scan for step in source.steps if step.frame.scan is not None]
+    if source.scans is None or len(scans) < 2:
+        return source
+    found = odometry_noise(scans, increments(source.scans.odometry[source.scans.kept]))
+    motion = Odometry(
+        turn_per_metre=found.turn_per_metre / found.along,
+        turn_per_radian=found.turn_per_radian / found.along,
+        lateral=found.lateral / found.along,
+        slip=found.slip / found.along,
+        walk=True,
+    )
+    return replace(
+        source,
+        motion=motion,
+        noise=replace(source.noise, odometry=found.along),
+        steps=tuple(step._replace(frame=step.frame._replace(motion=motion)) for step in source.steps),
+    )
