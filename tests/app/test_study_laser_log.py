@@ -120,6 +120,18 @@ def test_what_is_true_between_the_poses_of_a_reference(drive: Drive, tmp_path: P
     assert found["alone"]["odometry"]["mean_m"] is None
 
 
+def test_a_part_without_relations_says_so(drive: Drive, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--relations", drive.relations, "--particles", 5, "--seeds", 1, "--to")
+    assert study(drive.log, *options, 15) == 0
+    out = capsys.readouterr().out
+    assert "warning: none of the 4 relations is between two of the scans 0 to 15\n" in out
+    assert "errors of" not in out
+    assert study(drive.log, *options, 20) == 0
+    out = capsys.readouterr().out
+    assert "warning" not in out
+    assert "errors of 1 relation " in out
+
+
 def test_without_anything_to_compare_with(drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = saved(tmp_path, drive.log, "--particles", 5, "--filters", "dfs", "ekf", "--seeds", 2)
     out = capsys.readouterr().out
