@@ -135,6 +135,8 @@ class LaserLog:
         fewest = min((len(outcomes) for outcomes in cells.values()), default=0)
         alone = {key: fit for key, fit in found[0].fits.items() if key in ALONE} if found else {}
         warnings = [*source.warnings, *(relations.warnings if relations else ())]
+        if relations and alone and not alone[ODOMETRY].relations:
+            warnings.append(f"none of the {len(relations.times)} relations is between two of the {_part(source)}")
         warnings += [*unseen([outcome.observed for outcome in found[:1]]), *worse(alone, cells)]
         return finish(
             self,
@@ -257,7 +259,11 @@ def _errors_table(rows: Sequence[tuple[str, str, list[Fit]]], some: Fit) -> Tabl
     with_relations, with_truth = some.relations > 0, not math.isnan(some.aligned_rms_m)
     columns = ["mean [m]", "median [m]", "95 % [m]", "max [m]", "rotation [°]"] if with_relations else []
     columns += ["aligned rms [m]"] if with_truth else []
-    name = f"errors of {some.relations} relations" if with_relations else "errors of position"
+    name = (
+        f"errors of {some.relations} relation{'s' if some.relations > 1 else ''}"
+        if with_relations
+        else "errors of position"
+    )
     table = empty_table(name, "", "K", *columns)
     for title, K, paths in rows:
         of = {name: [getattr(path, name) for path in paths] for name in Fit._fields}

@@ -97,6 +97,8 @@ def test_its_numbers_are_those_of_the_paths(drive: Drive, tmp_path: Path, capsys
     assert cell["closed"] == (off <= 0.5).sum(axis=0).tolist()
     assert cell["closed_all"] == (off <= 0.5).all(axis=1).sum()
     assert cell["median"]["closures_m"] == np.median(off, axis=0).tolist()
+    row = re.findall(r"Dual FastSLAM +20 .*of 3.*", out)[0].split()
+    assert [row[i] for i in (3, 7, 11)] == [f"{error:.3g}" for error in np.median(off, axis=0)]
     means = [run["mean_m"] for run in cell["runs"]]
     assert cell["median"]["mean_m"] == np.median(means)
     assert f"{np.median(means):.3g} ({min(means):.3g}-{max(means):.3g})" in out
@@ -118,6 +120,18 @@ def test_what_is_true_between_the_poses_of_a_reference(drive: Drive, tmp_path: P
     assert found["alone"]["odometry"]["mean_m"] is None
 
 
+def test_a_part_without_relations_says_so(drive: Drive, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--relations", drive.relations, "--particles", 5, "--seeds", 1, "--to")
+    assert study(drive.log, *options, 15) == 0
+    out = capsys.readouterr().out
+    assert "warning: none of the 4 relations is between two of the scans 0 to 15\n" in out
+    assert "errors of" not in out
+    assert study(drive.log, *options, 20) == 0
+    out = capsys.readouterr().out
+    assert "warning" not in out
+    assert "errors of 1 relation " in out
+
+
 def test_without_anything_to_compare_with(drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = saved(tmp_path, drive.log, "--particles", 5, "--filters", "dfs", "ekf", "--seeds", 2)
     out = capsys.readouterr().out
@@ -133,14 +147,29 @@ def test_without_anything_to_compare_with(drive: Drive, tmp_path: Path, capsys: 
 def test_a_log_whose_stamps_are_numbers_has_no_real_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], period: float
 ) -> None:
-    poses = np.outer(np.arange(30), [0.3, 0.0, 0.0])
-    found = saved(tmp_path, write(tmp_path, plain_log(poses, period=period)), "--particles", 5, "--seeds", 1)
+    """And the robot rests for ten scans, which make no step but are counted."""
+    poses = np.outer(np.maximum(np.arange(30) - 10, 0), [0.3, 0.0, 0.0])
+    log = write(tmp_path, plain_log(poses, period=period))
+    rows = "".join(f"{k} {1000 + period * k} {x} {0.1 * (k == 25)} 0\n" for k, (x, _, _) in enumerate(poses))
+    reference = write(tmp_path, rows, "some.reference")
+    options = ("--particles", 5, "--seeds", 1, "--reference", reference, "--closures", "5:25")
+    found = saved(tmp_path, log, *options)
+    assert found["log"]["steps"] < 25
+    assert found["alone"]["odometry"]["closures_m"] == [pytest.approx(0.1)]
     (run,) = found["cells"][0]["runs"]
     if period == 1.0:
         assert run["real_time_factor"] is None
         assert re.search(r"Dual FastSLAM .* -\s*\n", capsys.readouterr().out)
     else:
         assert run["real_time_factor"] * run["filter_s"] == pytest.approx(29 * period)
+
+
+def test_what_filters_believe_and_do_may_be_told(drive: Drive, tmp_path: Path) -> None:
+    errors = set()
+    for told in ((), ("--believed.odometry", 3), ("--temper", 1), ("--every", 2)):
+        found = saved(tmp_path, drive.log, "--particles", 5, "--seeds", 1, "--relations", drive.relations, *told)
+        errors.add(found["cells"][0]["runs"][0]["mean_m"])
+    assert len(errors) == 4
 
 
 def test_matching_alone_is_judged_as_odometry_is(
