@@ -63,10 +63,6 @@ COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "worlds": Worlds, "study":
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""
 
-NOT_YET = {"--matching"}
-"""Options whose names are settled before they do anything."""
-
-
 def carry_out(arguments: Sequence[str]) -> int:
     """Run a command; returns the exit code: 0 done, 2 unusable arguments or input."""
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -193,8 +189,6 @@ def _unexpected(unknown: Sequence[str], name: str, command: Any) -> str:
         name = f"study {next(key for key, study in STUDIES.items() if study is kind)}"
     if not wrong.startswith("-"):
         return f"unexpected argument {wrong!r}; dualslam {name} --help tells what is expected"
-    if issubclass(kind, SessionOptions) and wrong.replace("_", "-") in NOT_YET:
-        return f"{wrong} is not there yet; dualslam {name} --help lists what is"
     known = option_names(kind) | (all_world_options() if issubclass(kind, SessionOptions) else set())
     return f"unknown option {wrong}{suggestion(wrong, known)}; dualslam {name} --help lists them"
 

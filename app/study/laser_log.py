@@ -20,7 +20,7 @@ from app.drawing import NO_TRUTH, draw_map, map_layer, scan_points
 from app.errors import UsageError
 from app.files import check_directory, write_whole
 from app.options import FILTERS, BelievedNoise, FilterOptions, LogOptions, WorldNoise, default, parameters
-from app.relations import ODOMETRY, PathErrors, relations_of
+from app.relations import MATCHED, ODOMETRY, PathErrors, relations_of
 from app.sources import LogParts, load
 from app.study.jobs import run_all
 from app.study.output import MEDIANS, TITLES, JobsOption, OutOption, SeedOption, begin, empty_table, finish, unseen
@@ -34,8 +34,7 @@ from scenarios.types import Source
 from slam.limits import PARAMS, Interval
 from slam.types import Floats, Params
 
-MATCHING = "matching"
-ALONE = {ODOMETRY: "odometry alone", MATCHING: "matching alone"}
+ALONE = {ODOMETRY: "odometry alone", MATCHED: "matching alone"}
 """What needs no filter, by the key of its path."""
 
 
@@ -190,15 +189,14 @@ class _Paths:
     last: SessionStep
 
     def __init__(self) -> None:
-        self.alone: dict[str, list[Floats]] = {ODOMETRY: [], MATCHING: []}
+        self.alone: dict[str, list[Floats]] = {ODOMETRY: [], MATCHED: []}
 
     def begin(self, info: SessionInfo) -> None:
         pass
 
     def step(self, step: SessionStep) -> None:
         self.last = step
-        matched = getattr(step, "matched", None)  # of a session that matches scans
-        for key, pose in ((ODOMETRY, step.odometry), (MATCHING, matched)):
+        for key, pose in ((ODOMETRY, step.odometry), (MATCHED, step.matched)):
             if pose is not None:
                 self.alone[key].append(pose)
 

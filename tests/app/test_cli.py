@@ -132,7 +132,7 @@ BAD = [
     (["run", "loop", "--keyframe", "0,0"], ["--keyframe does not apply to loop: it is for logs"]),
     (["run", "loop", "--keyframe", "0.25"], ["--keyframe is '0.25'; expected two numbers, METRES,DEGREES"]),
     (["run", "loop", "--keyframe", "1,-8"], ["--keyframe is -8; expected a number between 0 and 1000000"]),
-    (["run", "loop", "--matching", "x"], ["--matching is not there yet"]),
+    (["run", "loop", "--matching", "x"], ["--matching is 'x'", "off, on or auto"]),
     (["run", "loop", "--summary", "\udcff.json"], ["--summary is '\\udcff.json'", "UTF-8"]),
     (["run", "\udcff"], ["'\\udcff'", "UTF-8"]),
     (["run", "loop", "--trajectory", "t", "--noise.range", "0"], ["--noise.range is 0"]),
@@ -264,7 +264,7 @@ def test_options_reach_the_parameters():
     source = build("loop")
     _, params = parameters(source, command.filter, command.noise, command.believed)
     floors = {"floor_lateral": 0.01, "floor_angle": math.radians(0.3)}
-    assert params == dataclasses.replace(source.params(), **floors, orthogonal=True)
+    assert params == dataclasses.replace(source.params(), **floors, orthogonal=True, matching="on")
 
 
 def test_what_is_not_given_is_the_worlds_own():

@@ -73,7 +73,7 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize(
-    ("options", "used"), [(("--to", 21), 1), (("--from", 12, "--to", 55), 1), (("--steps", 45), 2), (("--steps", 2), 0)]
+    ("options", "used"), [(("--to", 21), 1), (("--from", 12, "--to", 55), 1), (("--steps", 27), 2), (("--steps", 2), 0)]
 )
 def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path, options: tuple[object, ...], used: int) -> None:
     summary = tmp_path / "s.json"
@@ -87,7 +87,7 @@ def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path, options: 
 @pytest.mark.parametrize(
     ("options", "keyframe", "steps"),
     [
-        ((), (0.25, 8), STEPS),
+        ((), (0.5, 15), STEPS // 2 + 4),
         (("--keyframe", "0,0"), (0, 0), STEPS),
         (("--keyframe", "1,400"), (1, 400), STEPS // 3 + 1),
     ],

@@ -100,7 +100,12 @@ def test_every_parameter_that_may_change_has_a_control(points):
 
     names = {control.name for control in filter_controls(walls)}
     assert names == {field.name for field in fields(Params)} - {"believed"}
-    assert {c.name for c in filter_controls(points)} == names - {"floor_lateral", "floor_angle", "orthogonal"}
+    assert {c.name for c in filter_controls(points)} == names - {
+        "floor_lateral",
+        "floor_angle",
+        "orthogonal",
+        "matching",
+    }
     assert [c.name for c in noise_controls(points, "noise")] == [
         "noise.speed",
         "noise.turn",

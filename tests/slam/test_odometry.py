@@ -1,0 +1,151 @@
+"""Scan matching in place of odometry: what becomes of the frame that filters get."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scenarios.noise import add_noise
+from scenarios.registry import build
+from slam.geometry import compose, invert, wrap_all
+from slam.motion import Matched, Odometry, deviation, propagate
+from slam.perception.odometry import NOWHERE, Increment, correct_odometry, increment, then
+from slam.types import Floats, Frame, Noise, Params
+
+STEPS = 50
+
+
+@pytest.fixture(scope="module")
+def frames() -> tuple[list[Frame], Floats]:
+    """A drive round a corner, as the robot reports it, and where it truly was (STEPS + 1, 3)."""
+    source = build("loop", start=2.0)
+    rng = np.random.default_rng(3)
+    noisy = [add_noise(rng, step.frame, source.noise) for step in source.steps[:STEPS]]
+    return noisy, np.array([source.start, *(step.truth for step in source.steps[:STEPS])])
+
+
+def followed(frames: list[Frame], params: Params, start: Floats) -> tuple[Floats, list[Frame], list]:
+    track, pose, poses, corrected, matches = None, start, [start], [], []
+    for frame in frames:
+        track, new, match = correct_odometry(track, frame, params)
+        for u, dt in zip(new.u, new.dt, strict=True):
+            pose = np.array(propagate(new.motion, pose, u, dt)[0])
+        poses.append(pose)
+        corrected.append(new)
+        matches.append(match)
+    return np.array(poses), corrected, matches
+
+
+def off(poses: Floats, truth: Floats) -> float:
+    """[rad] root mean square of the heading: along a corridor no scan shows where the robot is."""
+    return float(np.sqrt(np.mean(wrap_all(poses[:, 2] - truth[:, 2]) ** 2)))
+
+
+def test_it_is_nearer_to_the_truth_than_odometry(frames: tuple[list[Frame], Floats]) -> None:
+    noisy, truth = frames
+    by_odometry, same, none = followed(noisy, Params(believed=Noise(range=0.01)), truth[0])
+    assert all(a is b for a, b in zip(same, noisy, strict=True))
+    assert none == [None] * STEPS
+    for how in ("auto", "on"):
+        matched, corrected, matches = followed(noisy, Params(matching=how, believed=Noise(range=0.01)), truth[0])
+        assert off(matched, truth) < 0.3 * off(by_odometry, truth)
+        assert sum(match.used for match in matches) > 0.9 * STEPS
+        used = [frame for frame, match in zip(corrected, matches, strict=True) if match.used]
+        assert all(isinstance(frame.motion, Matched) and frame.u.shape == (1, 3) for frame in used)
+
+
+def test_the_covariance_is_that_of_the_errors_or_more(frames: tuple[list[Frame], Floats]) -> None:
+    """It is to cover errors that scans have in common; beside noise alone it is large, and never more than odometry's."""
+    noisy, truth = frames
+    params = Params(matching="on", believed=Noise(range=0.01))
+    _, corrected, matches = followed(noisy, params, truth[0])
+    for k, (frame, match) in enumerate(zip(corrected, matches, strict=True)):
+        if match.used:
+            s, _, H_u = propagate(frame.motion, (0.0, 0.0, 0.0), frame.u[0], 1.0)
+            half = np.array(H_u) * deviation(frame.motion, frame.u, params.believed)[0]
+            np.testing.assert_allclose(half @ half.T, match.covariance, atol=1e-12)
+            np.testing.assert_allclose(s, match.u, atol=1e-12)
+            error = match.u - compose(invert(truth[k]), truth[k + 1])
+            assert error @ np.linalg.solve(match.covariance + 1e-12 * np.eye(3), error) < 20.0
+            before = increment(noisy[k], params).covariance
+            assert np.linalg.eigvalsh(before - match.covariance + 1e-8 * np.eye(3)).min() > -1e-6
+
+
+def test_without_a_scan_nothing_changes(frames: tuple[list[Frame], Floats]) -> None:
+    frame = frames[0][0]._replace(scan=None)
+    assert correct_odometry(None, frame, Params(matching="on")) == (None, frame, None)
+
+
+def test_what_is_not_matched_is_odometry(frames: tuple[list[Frame], Floats]) -> None:
+    noisy, _ = frames
+    params = Params(matching="on")
+    track, first, match = correct_odometry(None, noisy[0], params)
+    assert first is noisy[0]
+    assert match is not None
+    assert not match.used
+    assert match.reason
+    assert noisy[1].scan is not None
+    blind = noisy[1]._replace(scan=noisy[1].scan._replace(ranges=np.full_like(noisy[1].scan.ranges, np.inf)))
+    after, same, match = correct_odometry(track, blind, params)
+    assert same is blind
+    assert match is not None
+    assert (match.used, match.u.tolist()) == (False, increment(blind, params).u.tolist())
+    assert after is not None
+
+
+def test_scans_on_the_way_are_matched_one_after_the_other(frames: tuple[list[Frame], Floats]) -> None:
+    """Two frames as one, with the scan of the first on the way, end where the two do."""
+    noisy, _ = frames
+    params = Params(matching="on", believed=Noise(range=0.01))
+    track, *_ = correct_odometry(None, noisy[0], params)
+    one, _, first = correct_odometry(track, noisy[1], params)
+    _, _, second = correct_odometry(one, noisy[2], params)
+    a, b = noisy[1], noisy[2]
+    assert a.scan is not None
+    both = b._replace(u=np.concatenate([a.u, b.u]), dt=np.concatenate([a.dt, b.dt]), between=(a.scan,))
+    _, frame, found = correct_odometry(track, both, params)
+    assert first is not None
+    assert second is not None
+    assert found is not None
+    expected = then(Increment(first.u, first.covariance), Increment(second.u, second.covariance))
+    np.testing.assert_allclose(found.u, expected.u, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
+    assert (found.overlap, found.residual) == (
+        min(first.overlap, second.overlap),
+        max(first.residual, second.residual),
+    )
+    assert frame.dt.sum() == pytest.approx(both.dt.sum())
+    _, lumped, _ = correct_odometry(track, both._replace(between=()), params)  # which scan is whose is not known
+    assert lumped.u.shape == (1, 3)
+
+
+def test_errors_of_one_motion_after_another() -> None:
+    """Against draws: within four standard errors of their covariance."""
+    rng = np.random.default_rng(5)
+    half = [np.diag([0.02, 0.01, 0.03]) @ rng.normal(size=(3, 3)) for _ in range(2)]
+    one, other = (Increment(u, h @ h.T) for u, h in zip(([0.4, 0.1, 0.7], [0.3, -0.2, -2.9]), half, strict=True))
+    N = 200_000
+    a, b = (np.asarray(i.u) + rng.normal(size=(N, 3)) @ h.T for i, h in zip((one, other), half, strict=True))
+    both = then(Increment(np.array(one.u), one.covariance), Increment(np.array(other.u), other.covariance))
+    drawn = compose(a, b) - both.u
+    drawn[:, 2] = wrap_all(drawn[:, 2])
+    size = np.sqrt(np.diag(both.covariance))
+    np.testing.assert_allclose(
+        np.cov(drawn.T) / np.outer(size, size), both.covariance / np.outer(size, size), atol=0.03
+    )
+    assert then(NOWHERE, one).covariance == pytest.approx(one.covariance)
+
+
+def test_odometry_that_walks() -> None:
+    """Its variance after a way is the same in one increment as in many; that in proportion is not."""
+    u = np.array([[0.4, 0.0, 0.1]])
+    many = np.repeat(u / 4, 4, axis=0)
+    for walk in (True, False):
+        motion = Odometry(0.2, 0.5, 0.7, 0.3, walk)
+        one = deviation(motion, u, Noise(odometry=0.3))
+        four = deviation(motion, many, Noise(odometry=0.3))
+        assert np.allclose(one**2, (four**2).sum(axis=0)) == walk
+    np.testing.assert_allclose(
+        deviation(Odometry(0.2, 0.5, 0.7, 0.3, True), u, Noise(odometry=0.3))[0] ** 2 / 0.09,
+        [0.4 + 0.09 * 0.1, 0.49 * 0.4 + 0.09 * 0.1, 0.04 * 0.4 + 0.25 * 0.1],
+    )
