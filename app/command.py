@@ -63,6 +63,7 @@ COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "worlds": Worlds, "study":
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""
 
+
 def carry_out(arguments: Sequence[str]) -> int:
     """Run a command; returns the exit code: 0 done, 2 unusable arguments or input."""
     if isinstance(sys.stdout, io.TextIOWrapper):

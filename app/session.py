@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-from slam.perception.matching import Track
 
 from app.compiling import CompileClock, uninterrupted_compilation
 from app.interrupt import Interrupts
@@ -26,6 +25,7 @@ from slam.genealogy import Genealogy
 from slam.metrics import measure
 from slam.motion import propagate
 from slam.perception import perceive
+from slam.perception.matching import Track
 from slam.perception.odometry import correct_odometry
 from slam.types import Estimator, Floats, Frame, Noise, Params, Particles
 

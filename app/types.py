@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from slam.perception.matching import Match
 
 from scenarios.types import Source
 from slam.genealogy import Genealogy
 from slam.metrics import Measures
+from slam.perception.matching import Match
 from slam.types import Estimator, Floats, Frame, Noise, Params, Trace
 
 

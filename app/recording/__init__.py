@@ -5,6 +5,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
 
     /world/truth/{robot,path,map}   /world/odometry/path   /world/matching/path
     /world/scan                     what was seen, from the true pose: rays to landmarks, or where a laser met something
+    /world/scans                    logs of a laser: what all scans met, along the path of the first filter
     /world/<filter>/particles       positions, coloured by weight, and headings; with walls, the best one's ellipse
     /world/<filter>/ellipses        2-sigma pose covariance of every particle
     /world/<filter>/map             the best particle's map: landmarks with 2-sigma ellipses, or walls, the brighter the

@@ -178,9 +178,8 @@ def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb
 
 
 def _surroundings(branch: Shown) -> list[str]:
-    return [
-        f"+ {branch.at(what)}" for what in ("world/truth/**", "world/odometry/**", "world/matching/**", "world/scan")
-    ]
+    entities = ("truth/**", "odometry/**", "matching/**", "scan", "scans")
+    return [f"+ {branch.at(f'world/{what}')}" for what in entities]
 
 
 def _grid(spacing: float) -> rrb.LineGrid3D:

@@ -119,6 +119,14 @@ def returns(scan: Scan, s: Floats) -> Floats:
     return laser[:2] + r[back, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
 
 
+def surroundings(source: Source, poses: Floats, cell: float) -> Floats:
+    """(n, 2) [m] where all scans of a log ended, the first T of which were taken at poses (T, 3); one for each cell."""
+    seen = [frame.scan for frame, _ in source.steps[: len(poses)]]
+    ends = [returns(scan, pose) for scan, pose in zip(seen, poses, strict=True) if scan is not None]
+    cells = np.unique(np.floor(np.concatenate([np.zeros((0, 2)), *ends]) / cell), axis=0)
+    return (cells + 0.5) * cell
+
+
 def known(pose: Floats | None) -> bool:
     """Whether a true pose is given, its position at least."""
     return pose is not None and bool(np.isfinite(pose[:2]).all())

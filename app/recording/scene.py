@@ -86,6 +86,7 @@ def looks_of_surroundings() -> dict[str, list[Any]]:
         "truth/path": [strokes(white, 1.2)],
         "odometry/path": [strokes(colours.ODOMETRY, 1.2)],
         "matching/path": [strokes(colours.MATCHING, 1.2)],
+        "scans": [dots(colours.faded(colours.ODOMETRY, 0.45), 0.8)],
     }
 
 

@@ -16,7 +16,7 @@ from app import colours
 from app.events import Watch
 from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
-from app.recording.ground import Extent, Survey, extent_of, known, observer
+from app.recording.ground import Extent, Survey, extent_of, known, observer, surroundings
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
@@ -53,6 +53,9 @@ WIDTH, BRANCH_WIDTH = 1.8, 0.9
 """[points] of the lines of a run and of its branches in plots."""
 
 GUIDE: colours.RGB = (140, 140, 140)
+
+CELLS = 500.0
+"""Along the longer side of the map, of what the scans of a log have met: a point for each."""
 
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
@@ -372,6 +375,10 @@ class Writer:
                 log(f"world/{key}/{entity}", *what)
         if everything or due(index, steps, limits.paths):
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
+        if picture and self._info.source.scans is not None and key == self._shown.filters[0].key:
+            way = update.genealogy.path(best_descendant(update))[1:]
+            cells = surroundings(self._info.source, way, self._size / CELLS)
+            log("world/scans", scene.points(cells, scene.SCAN * self._lift))
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))

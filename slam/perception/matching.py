@@ -5,8 +5,8 @@
    so far, as far back as it is of use) that faces the same way: P. J. Besl, N. D. McKay, "A method for registration of
    3-D shapes", IEEE Trans. PAMI 14, 1992; F. Lu, E. Milios, "Robot pose estimation in unknown environments by matching
    2D range scans", J. Intell. Robot. Syst. 18, 1997.
-3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a point-to-line
-   metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud, "IMLS-SLAM: scan-to-
+3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a
+   point-to-line metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud, "IMLS-SLAM: scan-to-
    model matching based on 3D data", ICRA 2018, so that neither the noise nor the rounding of single ranges matters.
 4. Gauss-Newton on the sum of squares (Huber's beyond a few centimetres) and on the distance from the odometry in units
    of its covariance; then new pairs, within a gate that narrows.  What two walls of a corridor do not show, how far
@@ -62,8 +62,8 @@ class Matcher(NamedTuple):
     huber: float = 0.03
     """[m] from the surface beyond which a point no longer pulls harder."""
     sigma: float = 0.02
-    """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry has
-    no part in what the scan shows better."""
+    """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry
+    has no part in what the scan shows better."""
     reported: float = 0.1
     """[m] the same for the covariance that is reported: large, since errors are alike from beam to beam, and from scan
     to scan."""
@@ -72,7 +72,7 @@ class Matcher(NamedTuple):
     iterations: int = 30
     """At most."""
     restarts: tuple[float, ...] = (math.radians(6.0), -math.radians(6.0), math.radians(14.0), -math.radians(14.0))
-    """[rad] from the heading of the odometry at which to begin again, where that heading itself leads to nothing good."""
+    """[rad] from the heading of the odometry at which to begin again, where that itself leads to nothing good."""
     good_overlap: float = 0.7
     """The share of the points that are paired, from which on nothing is begun again."""
     good_residual: float = 0.03
@@ -252,7 +252,7 @@ def _align(
     """
     best, pose, information = (0.0, math.inf, math.inf), predicted, np.zeros((3, 3))
     for turn in (0.0, *settings.restarts):
-        x, system = predicted + [0.0, 0.0, turn], np.empty((5, 3))
+        x, system = predicted + np.array([0.0, 0.0, turn]), np.empty((5, 3))
         fit = _descend(q, points, start, predicted, prior, settings, x, system)
         if fit[2] < best[2]:
             best, pose, information = fit, x, system[:3]
@@ -274,8 +274,8 @@ def odometry_noise(
 
     increments (n, 3) lead from each scan to the next, the first of them to the first scan.  Where scans show the pose
     well, the differences between match and odometry are summed over stretches of some metres.  Over those what is
-    systematic in the odometry outgrows what is random in it, and in the matches, and counts as deviation.  The variances
-    are those of the greatest likelihood of a Student distribution, which some wild stretches do not impress.
+    systematic in the odometry outgrows what is random in it, and in the matches, and counts as deviation.  The
+    variances are those of the greatest likelihood of a Student distribution, which some wild stretches do not impress.
     `believed` is for the matching that this needs.
     """
     believed = believed or OdometryNoise()
@@ -435,7 +435,7 @@ def _bucket(x: Any, y: Any, buckets: Any) -> Any:
 
 @inline
 def _cell(x: Any, size: Any) -> Any:
-    return int(math.floor(x / size))
+    return math.floor(x / size)
 
 
 @kernel
@@ -466,7 +466,7 @@ def _nearest(p: Any, gate: Any, points: Any, start: Any, settings: Any) -> Any:
     size, H = settings.smooth, len(start) - 1
     cx, cy = _cell(p[0], size), _cell(p[1], size)
     least, nearest = gate * gate, -1
-    for ring in range(int(math.ceil(gate / size)) + 1):
+    for ring in range(math.ceil(gate / size) + 1):
         if least <= (max(ring - 1, 0) * size) ** 2:
             break
         for x in range(cx - ring, cx + ring + 1):
@@ -503,9 +503,7 @@ def _mean_surface(k: Any, points: Any, start: Any, settings: Any) -> Any:
 
 
 @kernel
-def _linearise(
-    q: Any, points: Any, start: Any, pose: Any, gate: Any, weak: Any, settings: Any, system: Any
-) -> Any:
+def _linearise(q: Any, points: Any, start: Any, pose: Any, gate: Any, weak: Any, settings: Any, system: Any) -> Any:
     """(overlap, residual [m], misfit [m^2]) of the points at a pose.
 
     system (5, 3) receives the curvature (three rows) and the slope of the misfit, as sums over the pairs, and the sums
@@ -577,9 +575,7 @@ def _solve(A: Any, g: Any, L: Any, away: Any, weight: Any) -> Any:
 
 
 @kernel
-def _descend(
-    q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any
-) -> Any:
+def _descend(q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any) -> Any:
     """(overlap, residual, misfit) at the end of the way down from `pose` (3,), which receives the end.
 
     predicted (3,) and prior (3, 3) are the pose by odometry and its information; system as in `_linearise`.
