@@ -6,8 +6,9 @@
    3-D shapes", IEEE Trans. PAMI 14, 1992; F. Lu, E. Milios, "Robot pose estimation in unknown environments by matching
    2D range scans", J. Intell. Robot. Syst. 18, 1997.
 3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a
-   point-to-line metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud, "IMLS-SLAM: scan-to-
-   model matching based on 3D data", ICRA 2018, so that neither the noise nor the rounding of single ranges matters.
+   point-to-line metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud,
+   "IMLS-SLAM: scan-to-model matching based on 3D data", ICRA 2018, so that neither the noise nor the rounding of single
+   ranges matters.
 4. Gauss-Newton on the sum of squares (Huber's beyond a few centimetres) and on the distance from the odometry in units
    of its covariance; then new pairs, within a gate that narrows.  What two walls of a corridor do not show, how far
    along it the robot is, they must not show by the noise of their normals either: J. Zhang, M. Kaess, S. Singh, "On

@@ -226,8 +226,9 @@ def test_every_parameter_is_an_option():
 
 def test_fixed_names():
     """Scripts and lessons rely on these."""
-    names = """filters particles seed steps association gate weighting inflate-r temper matching resampler resample-below
-    preset robot from to every keyframe reference relations align record summary trajectory noise.speed noise.turn
+    names = """filters particles seed steps association gate weighting inflate-r temper matching resampler
+    resample-below preset robot from to every keyframe reference relations align record summary trajectory
+    noise.speed noise.turn
     noise.range noise.bearing
     noise.odometry noise.missing believed.odometry believed.speed believed.turn believed.range believed.bearing"""
     assert {f"--{name}" for name in names.split()} <= command_line.option_names(Run)

@@ -129,7 +129,7 @@ def sights(times: list[float], seen: list[int]) -> list[tuple[float, str, str, s
     watch, told = Watch({}), []
     for time, before, count in zip(times, [0.0, *times], seen, strict=False):
         frame = SimpleNamespace(time=time, dt=np.array([time - before]), z=np.zeros((count, 2)))
-        step = SimpleNamespace(frame=frame, changes=(), filters={}, odometry=np.zeros(3))
+        step = SimpleNamespace(frame=frame, changes=(), filters={}, odometry=np.zeros(3), match=None)
         told += [(time, *event) for event in watch.step(step)]  # type: ignore[arg-type]
     return told
 

@@ -55,7 +55,7 @@ def test_it_is_nearer_to_the_truth_than_odometry(frames: tuple[list[Frame], Floa
 
 
 def test_the_covariance_is_that_of_the_errors_or_more(frames: tuple[list[Frame], Floats]) -> None:
-    """It is to cover errors that scans have in common; beside noise alone it is large, and never more than odometry's."""
+    """It covers errors that scans have in common, so beside noise alone it is large; and never more than odometry's."""
     noisy, truth = frames
     params = Params(matching="on", believed=Noise(range=0.01))
     _, corrected, matches = followed(noisy, params, truth[0])
