@@ -96,7 +96,7 @@ def test_without_noise_the_motion_is_recovered(origin: tuple[float, float, float
 
 
 def test_a_wrong_heading_is_found_again() -> None:
-    """15 and 25 degrees, in random rooms, where one start alone, from the heading by odometry, at times ends elsewhere."""
+    """15 and 25 degrees, in random rooms, where one start alone, by odometry, at times ends elsewhere."""
     laser, Q = Laser(181, 180.0, reach=30.0), np.diag([0.1, 0.1, math.radians(20)]) ** 2
     alone = []
     for seed in range(60):
