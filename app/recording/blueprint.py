@@ -159,12 +159,12 @@ def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb
     """
     root = branch.at(f"world/{estimator.key}")
     other = {"focus": "best", "best": "focus"}[frame]
-    around = _surroundings(branch)
+    around = _surroundings(branch, with_scans="heading" in branch.known)
     return rrb.Spatial3DView(
         name=name,
         origin=f"{root}/{frame}",
         contents=[
-            *(around if "heading" in branch.known else around[:-1]),
+            *around,
             f"+ {root}/**",
             f"- {root}/lineages",
             f"- {root}/maps",
@@ -177,8 +177,8 @@ def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb
     )
 
 
-def _surroundings(branch: Shown) -> list[str]:
-    entities = ("truth/**", "odometry/**", "matching/**", "scan", "scans")
+def _surroundings(branch: Shown, with_scans: bool = True) -> list[str]:
+    entities = ("truth/**", "odometry/**", "matching/**", *(("scan", "scans") if with_scans else ()))
     return [f"+ {branch.at(f'world/{what}')}" for what in entities]
 
 
