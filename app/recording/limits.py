@@ -8,6 +8,7 @@ The numbers in `/plots` and `/events` are never thinned.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -66,11 +67,19 @@ def due(index: int, steps: int, every: int) -> bool:
 
 def sample(count: int, limit: int, keep: int | None = None) -> Ints:
     """At most `limit` indices below `count`, evenly spread; `keep` is among them."""
-    if count <= limit:
-        return np.arange(count)
-    chosen = np.linspace(0, count - 1, limit).astype(np.int64)
-    if keep is not None:
-        chosen[np.abs(chosen - keep).argmin()] = keep
+    chosen = _spread(count, limit)
+    if keep is None or count <= limit:
+        return chosen
+    chosen = chosen.copy()
+    chosen[np.abs(chosen - keep).argmin()] = keep
+    return chosen
+
+
+@functools.lru_cache(maxsize=64)
+def _spread(count: int, limit: int) -> Ints:
+    """Of every step the same; nobody writes into it."""
+    chosen = np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).astype(np.int64)
+    chosen.flags.writeable = False
     return chosen
 
 

@@ -16,8 +16,9 @@ from slam.estimators import ESTIMATORS
 PICTURES = 8.0
 """[1/s] at most, for viewers."""
 
-DUTY = 0.2
-"""Share of the time that pictures may take, beyond which they wait: filters want the interpreter, too."""
+DUTY, FILE_DUTY = 0.2, 0.1
+"""Share of the time that pictures may take for viewers, and whole ones in a file, beyond which they wait: filters want
+the interpreter, too."""
 
 TRUNK = "the first run"
 """What people call the branch without a name, where another one was there first."""
@@ -68,14 +69,14 @@ class SessionWriter:
         self._write(self._writers[stepped.branch], stepped.step)
 
     def _write(self, writer: Writer, step: SessionStep) -> None:
-        """With pictures, if that leaves time for the filters; of a file only those of the past may be left out."""
+        """With pictures, if that leaves time for the filters; in a file, those of the step as it is weighted always."""
         began = monotonic()
         if began < self._picture_at:
             writer.step(step, "numbers" if self._live else "present")
             return
         writer.step(step, "all" if self._live else "usual")
-        now = monotonic()
-        self._picture_at = now + max((now - began) * (1.0 / DUTY - 1.0), 1.0 / PICTURES if self._live else 0.0)
+        now, duty = monotonic(), DUTY if self._live else FILE_DUTY
+        self._picture_at = now + max((now - began) * (1.0 / duty - 1.0), 1.0 / PICTURES if self._live else 0.0)
 
     def closed(self) -> None:
         """Complete it."""

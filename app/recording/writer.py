@@ -43,8 +43,8 @@ GUIDES = {
 """Series in `/plots` that belong to no filter."""
 
 Detail = Literal["usual", "all", "present", "numbers"]
-"""What is written of a step: pictures as often as their turn comes, all of them, none of what lies behind (maps of all
-particles, lineages, ancestry), or none at all."""
+"""What is written of a step: pictures as often as their turn comes; all of them; the particles as they are weighted,
+and resampled if they were, but nothing of what lies behind (maps of all particles, lineages, ancestry); no picture."""
 
 OF_A_BRANCH = ("n_eff/threshold",)
 """Those of them that may differ from the run's."""
@@ -194,10 +194,10 @@ class Writer:
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
 
+        moments = detail != "present"  # or else only the one that the other timelines have
         self._stream.set_time(stage)
-        for key, update in step.filters.items():
-            best = int(update.measures.best)
-            self._write_particles(key, update.trace.predicted, best)
+        for key, update in step.filters.items() if moments else ():
+            self._write_particles(key, update.trace.predicted, int(update.measures.best))
 
         self._stream.set_time(stage + 1, *now)
         for key, update in step.filters.items():
@@ -211,11 +211,12 @@ class Writer:
 
         self._stream.set_time(stage + 2)
         for key, update in step.filters.items():
-            self._write_particles(key, update.trace.resampled, best_descendant(update))
+            if moments or update.trace.did_resample:
+                self._write_particles(key, update.trace.resampled, best_descendant(update))
 
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
-            self._write_memory(key, update, step.index, everything, detail != "present")
+            self._write_memory(key, update, step.index, everything, past=moments)
 
     def close(self) -> None:
         """Complete the file."""
