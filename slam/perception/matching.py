@@ -26,6 +26,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
 from slam._jit import inline, kernel
 from slam.geometry import compose, invert, wrap
@@ -41,6 +42,8 @@ class Matcher(NamedTuple):
     """[m] of way after which a scan is added to it."""
     turn: float = math.radians(6.0)
     """[rad] of turn after which one is."""
+    patience: float = 4.0
+    """Times as much before one is of which only the odometry tells where it was taken."""
     most: int = 400
     """Beams of a scan that are matched and kept; of more, every second or third is."""
     fewest: int = 15
@@ -67,6 +70,9 @@ class Matcher(NamedTuple):
     reported: float = 0.1
     """[m] the same for the covariance that is reported: large, since errors are alike from beam to beam, and from scan
     to scan."""
+    clean: float = 0.015
+    """[m] mean distance from the surface up to which both hold; they grow with its square beyond.  What leaves more is
+    not made of walls, or is not the same place."""
     parallel: float = 0.15
     """[rad] Surfaces that are within this of the direction in which the pose is known least say nothing along it."""
     iterations: int = 30
@@ -95,13 +101,15 @@ class Track(NamedTuple):
 
     pose: Floats
     """(3,) [m, m, rad] of the robot in the frame in which the way began."""
+    doubt: Floats
+    """(3, 3) covariance of the pose with regard to the submap: that of the odometry since a match was used."""
     newest: Floats
     """(3,) pose at which the newest scan of the submap was taken."""
     scans: tuple[Floats, ...]
     """Points (n, 4) of each scan of the submap, in that frame, oldest first.  Tracks share these arrays."""
 
 
-START = Track(np.zeros(3), np.zeros(3), ())
+START = Track(np.zeros(3), np.zeros((3, 3)), np.zeros(3), ())
 """Before the first scan."""
 
 
@@ -166,47 +174,63 @@ STEADY = (3e-4, 5e-5)
 def match(track: Track, scan: Scan, u: Floats, Q: Floats, settings: Matcher = STANDARD) -> tuple[Track, Match]:
     """The track after a scan and the increment that led to it; u (3,) and Q (3, 3) are those of the odometry."""
     q = surface_points(scan, settings)
-    found = _match(track, q, u, Q, settings)
+    doubt = _doubt(track, u, Q)
+    found = _match(track, q, u, Q, doubt, settings)
     pose = compose(track.pose, found.u)
-    if len(q) < settings.fewest or not (_moved(track, pose, settings) or not track.scans):
-        return track._replace(pose=pose), found
-    return Track(pose, pose, (*track.scans[-settings.keyframes + 1 :], _placed(q, pose))), found
+    track = track._replace(pose=pose, doubt=np.zeros((3, 3)) if found.used or not track.scans else doubt)
+    if len(q) >= settings.fewest and (not track.scans or _moved(track, found.used, settings)):
+        track = track._replace(newest=pose, scans=(*track.scans[-settings.keyframes + 1 :], _placed(q, pose)))
+    return track, found
 
 
-def _moved(track: Track, pose: Floats, settings: Matcher) -> bool:
-    """Whether a pose is so far from that of the newest scan of the submap that its own scan shows something new."""
-    x, y, turned = compose(invert(track.newest), pose)
-    return math.hypot(x, y) > settings.spacing or abs(turned) > settings.turn
+def _doubt(track: Track, u: Floats, Q: Floats) -> Floats:
+    """The covariance (3, 3) of the pose with regard to the submap, after an increment."""
+    turn, H = _rotation(track.pose[2]), np.eye(3)
+    H[:2, 2] = turn[:2, :2] @ [-u[1], u[0]]
+    return H @ track.doubt @ H.T + turn @ Q @ turn.T
 
 
-def _match(track: Track, q: Floats, u: Floats, Q: Floats, settings: Matcher) -> Match:
+def _moved(track: Track, sure: bool, settings: Matcher) -> bool:
+    """Whether the pose is so far from that of the newest scan of the submap that its own scan is to be added.
+
+    If the pose is that of the odometry alone, the next scans may show better where the robot is, in a submap without
+    this one.
+    """
+    x, y, turned = compose(invert(track.newest), track.pose)
+    far = 1.0 if sure else settings.patience
+    return math.hypot(x, y) > far * settings.spacing or abs(turned) > far * settings.turn
+
+
+def _match(track: Track, q: Floats, u: Floats, Q: Floats, doubt: Floats, settings: Matcher) -> Match:
     """What the points q (M, 4), in the robot's frame, say of the increment that led to them."""
     if not track.scans:
         return Match(u, Q, 0.0, 0.0, False, "first scan")
     if len(q) < settings.fewest:
         return Match(u, Q, 0.0, 0.0, False, "too few points")
     predicted = compose(track.pose, u)
-    turn = _rotation(track.pose[2])
-    prior = np.linalg.inv(Q + SLIGHTEST**2 * np.eye(3))
+    prior = np.linalg.inv(doubt + SLIGHTEST**2 * np.eye(3))
     points, start = _submap(track, predicted, np.hypot(q[:, 0], q[:, 1]).max() + settings.widest, settings)
-    best, x, information = _align(q, points, start, predicted, turn @ prior @ turn.T, settings)
-
-    share, residual, misfit = best
-    if share < settings.least_overlap:
-        return Match(u, Q, share, residual, False, "too little overlap")
+    (overlap, residual, misfit), pose, information = _align(
+        q, points, start, predicted, prior, track.doubt.any(), settings
+    )
+    covariance = np.linalg.inv(information / (settings.reported * _roughness(residual, settings)) ** 2 + prior)
+    if overlap < settings.least_overlap:
+        return Match(u, Q, overlap, residual, False, "too little overlap")
     if residual > settings.largest_residual:
-        return Match(u, Q, share, residual, False, "does not fit")
-    covariance = np.linalg.inv(turn.T @ information @ turn / settings.reported**2 + prior)
-    u_new = compose(invert(track.pose), x)
-    away = np.array([u_new[0] - u[0], u_new[1] - u[1], wrap(u_new[2] - u[2])])
-    if not (np.isfinite(u_new).all() and np.isfinite(covariance).all()):
-        return Match(u, Q, share, residual, False, "singular")
-    if away @ np.linalg.solve(Q + covariance, away) > settings.surprise**2:
+        return Match(u, Q, overlap, residual, False, "does not fit")
+    if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
+        return Match(u, Q, overlap, residual, False, "singular")
+    away = np.array([pose[0] - predicted[0], pose[1] - predicted[1], wrap(pose[2] - predicted[2])])
+    if away @ np.linalg.solve(doubt + covariance, away) > settings.surprise**2:
         before = _misfit(q, points, start, predicted, settings)
+        if LOG is not None: LOG.append((before, misfit, math.sqrt(away @ np.linalg.solve(doubt + covariance, away))))
         if misfit > settings.better * before:
-            return Match(u, Q, share, residual, False, "odometry fits as well, and is far away")
-    return Match(u_new, 0.5 * (covariance + covariance.T), share, residual, True, "")
+            return Match(u, Q, overlap, residual, False, "odometry fits as well, and is far away")
+    turn = _rotation(track.pose[2])
+    covariance = turn.T @ (covariance + track.doubt) @ turn
+    return Match(compose(invert(track.pose), pose), 0.5 * (covariance + covariance.T), overlap, residual, True, "")
 
+LOG = None
 
 def _rotation(angle: float) -> Floats:
     """(3, 3) that turns the covariance of a pose."""
@@ -244,7 +268,7 @@ def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> t
 
 
 def _align(
-    q: Floats, points: Floats, start: Any, predicted: Floats, prior: Floats, settings: Matcher
+    q: Floats, points: Floats, start: Any, predicted: Floats, prior: Floats, lost: bool, settings: Matcher
 ) -> tuple[tuple[float, float, float], Floats, Floats]:
     """(overlap, residual, misfit), pose (3,) and information (3, 3) of the best fit, begun again where it must be.
 
@@ -256,7 +280,7 @@ def _align(
         fit = _descend(q, points, start, predicted, prior, settings, x, system)
         if fit[2] < best[2]:
             best, pose, information = fit, x, system[:3]
-        if best[0] >= settings.good_overlap and best[1] <= settings.good_residual:
+        if not lost and best[0] >= settings.good_overlap and best[1] <= settings.good_residual:
             break
     return best, pose, information
 
@@ -576,6 +600,12 @@ def _solve(A: Any, g: Any, L: Any, away: Any, weight: Any) -> Any:
     return (z0 - l10 * z1 - l20 * z2) / l00, z1, z2
 
 
+@register_jitable
+def _roughness(residual: Any, settings: Any) -> Any:
+    """Factor on the deviation of a point."""
+    return max(1.0, (residual / settings.clean) ** 2)
+
+
 @kernel
 def _descend(
     q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any
@@ -584,14 +614,18 @@ def _descend(
 
     predicted (3,) and prior (3, 3) are the pose by odometry and its information; system as in `_linearise`.
     """
-    gate, weak = settings.widest, (1.0, 0.0, 0.0)
+    gate, weak, rough = settings.widest, (1.0, 0.0, 0.0), 0.0
     for _ in range(settings.iterations):
-        _linearise(q, points, start, pose, gate, weak, settings, system)
-        weak = _weakest(system)
+        _, residual, _ = _linearise(q, points, start, pose, gate, weak, settings, system)
+        weak, sigma = _weakest(system), settings.sigma * max(rough, 1.0)
         away = (pose[0] - predicted[0], pose[1] - predicted[1], wrap(pose[2] - predicted[2]))
-        dx, dy, turn = _solve(system, system[3], prior, away, 1.0 / (settings.sigma * settings.sigma))
+        dx, dy, turn = _solve(system, system[3], prior, away, 1.0 / (sigma * sigma))
         pose[0], pose[1], pose[2] = pose[0] + dx, pose[1] + dy, wrap(pose[2] + turn)
         if gate <= settings.narrowest and math.hypot(dx, dy) < STEADY[0] and abs(turn) < STEADY[1]:
-            break
+            if rough > 0.0:
+                break
+            rough = _roughness(residual, settings)
+            if rough <= 1.0:
+                break
         gate = max(settings.narrowing * gate, settings.narrowest)
     return _linearise(q, points, start, pose, settings.narrowest, weak, settings, system)
