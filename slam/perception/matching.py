@@ -5,9 +5,9 @@
    so far, as far back as it is of use) that faces the same way: P. J. Besl, N. D. McKay, "A method for registration of
    3-D shapes", IEEE Trans. PAMI 14, 1992; F. Lu, E. Milios, "Robot pose estimation in unknown environments by matching
    2D range scans", J. Intell. Robot. Syst. 18, 1997.
-3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a point-to-line
-   metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud, "IMLS-SLAM: scan-to-
-   model matching based on 3D data", ICRA 2018, so that neither the noise nor the rounding of single ranges matters.
+3. What counts is the distance from the surface there, not from the point: A. Censi, "An ICP variant using a
+   point-to-line metric", ICRA 2008.  The surface is the mean of what many scans saw of it, as in J.-E. Deschaud,
+   "IMLS-SLAM: scan-to-model matching based on 3D data", ICRA 2018: single ranges are noisy, and rounded.
 4. Gauss-Newton on the sum of squares (Huber's beyond a few centimetres) and on the distance from the odometry in units
    of its covariance; then new pairs, within a gate that narrows.  What two walls of a corridor do not show, how far
    along it the robot is, they must not show by the noise of their normals either: J. Zhang, M. Kaess, S. Singh, "On
@@ -30,7 +30,7 @@ from numba.extending import register_jitable
 
 from slam._jit import inline, kernel
 from slam.geometry import compose, invert, wrap
-from slam.types import Floats, Scan
+from slam.types import Floats, Ints, Scan
 
 
 class Matcher(NamedTuple):
@@ -65,8 +65,8 @@ class Matcher(NamedTuple):
     huber: float = 0.03
     """[m] from the surface beyond which a point no longer pulls harder."""
     sigma: float = 0.02
-    """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry has
-    no part in what the scan shows better."""
+    """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry
+    has no part in what the scan shows better."""
     reported: float = 0.1
     """[m] the same for the covariance that is reported: large, since errors are alike from beam to beam, and from scan
     to scan."""
@@ -78,7 +78,7 @@ class Matcher(NamedTuple):
     iterations: int = 30
     """At most."""
     restarts: tuple[float, ...] = (math.radians(6.0), -math.radians(6.0), math.radians(14.0), -math.radians(14.0))
-    """[rad] from the heading of the odometry at which to begin again, where that heading itself leads to nothing good."""
+    """[rad] from the heading by odometry at which to begin again, where that heading itself leads to nothing good."""
     good_overlap: float = 0.7
     """The share of the points that are paired, from which on nothing is begun again."""
     good_residual: float = 0.03
@@ -102,7 +102,8 @@ class Track(NamedTuple):
     pose: Floats
     """(3,) [m, m, rad] of the robot in the frame in which the way began."""
     doubt: Floats
-    """(3, 3) covariance of the pose with regard to the submap: that of the odometry since a match was used."""
+    """(3, 3) covariance of the pose with regard to the submap: that of the odometry since a match was used, or a scan
+    was added without one."""
     newest: Floats
     """(3,) pose at which the newest scan of the submap was taken."""
     scans: tuple[Floats, ...]
@@ -178,9 +179,10 @@ def match(track: Track, scan: Scan, u: Floats, Q: Floats, settings: Matcher = ST
     found = _match(track, q, u, Q, doubt, settings)
     pose = compose(track.pose, found.u)
     track = track._replace(pose=pose, doubt=np.zeros((3, 3)) if found.used or not track.scans else doubt)
-    if len(q) >= settings.fewest and (not track.scans or _moved(track, found.used, settings)):
-        track = track._replace(newest=pose, scans=(*track.scans[-settings.keyframes + 1 :], _placed(q, pose)))
-    return track, found
+    if len(q) < settings.fewest or not _to_be_kept(track, found.used, settings):
+        return track, found
+    scans = (*track.scans[-settings.keyframes + 1 :], _placed(q, pose))
+    return Track(pose, np.zeros((3, 3)), pose, scans), found
 
 
 def _doubt(track: Track, u: Floats, Q: Floats) -> Floats:
@@ -190,12 +192,14 @@ def _doubt(track: Track, u: Floats, Q: Floats) -> Floats:
     return H @ track.doubt @ H.T + turn @ Q @ turn.T
 
 
-def _moved(track: Track, sure: bool, settings: Matcher) -> bool:
-    """Whether the pose is so far from that of the newest scan of the submap that its own scan is to be added.
+def _to_be_kept(track: Track, sure: bool, settings: Matcher) -> bool:
+    """Whether a scan at the pose of the track, far enough from the newest of the submap, is to be added.
 
     If the pose is that of the odometry alone, the next scans may show better where the robot is, in a submap without
     this one.
     """
+    if not track.scans:
+        return True
     x, y, turned = compose(invert(track.newest), track.pose)
     far = 1.0 if sure else settings.patience
     return math.hypot(x, y) > far * settings.spacing or abs(turned) > far * settings.turn
@@ -208,29 +212,54 @@ def _match(track: Track, q: Floats, u: Floats, Q: Floats, doubt: Floats, setting
     if len(q) < settings.fewest:
         return Match(u, Q, 0.0, 0.0, False, "too few points")
     predicted = compose(track.pose, u)
-    prior = np.linalg.inv(doubt + SLIGHTEST**2 * np.eye(3))
-    points, start = _submap(track, predicted, np.hypot(q[:, 0], q[:, 1]).max() + settings.widest, settings)
-    (overlap, residual, misfit), pose, information = _align(
-        q, points, start, predicted, prior, track.doubt.any(), settings
-    )
-    covariance = np.linalg.inv(information / (settings.reported * _roughness(residual, settings)) ** 2 + prior)
-    if overlap < settings.least_overlap:
-        return Match(u, Q, overlap, residual, False, "too little overlap")
-    if residual > settings.largest_residual:
-        return Match(u, Q, overlap, residual, False, "does not fit")
-    if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
-        return Match(u, Q, overlap, residual, False, "singular")
-    away = np.array([pose[0] - predicted[0], pose[1] - predicted[1], wrap(pose[2] - predicted[2])])
-    if away @ np.linalg.solve(doubt + covariance, away) > settings.surprise**2:
-        before = _misfit(q, points, start, predicted, settings)
-        if LOG is not None: LOG.append((before, misfit, math.sqrt(away @ np.linalg.solve(doubt + covariance, away))))
-        if misfit > settings.better * before:
-            return Match(u, Q, overlap, residual, False, "odometry fits as well, and is far away")
+    prior = np.linalg.inv(doubt + np.diag([SLIGHTEST**2] * 3)).astype(np.float64)
+    reach = float(np.hypot(q[:, 0], q[:, 1]).max()) + settings.widest
+    pairing = _Pairing(q, *_submap(track, predicted, reach, settings))
+    fit, pose, information = _align(pairing, predicted, prior, bool(track.doubt.any()), settings)
+    covariance = np.linalg.inv(information / (settings.reported * _roughness(fit.residual, settings)) ** 2 + prior)
+    reason = _objection(pairing, predicted, fit, pose, doubt + covariance, settings)
+    if reason:
+        return Match(u, Q, fit.overlap, fit.residual, False, reason)
     turn = _rotation(track.pose[2])
     covariance = turn.T @ (covariance + track.doubt) @ turn
-    return Match(compose(invert(track.pose), pose), 0.5 * (covariance + covariance.T), overlap, residual, True, "")
+    covariance = 0.5 * (covariance + covariance.T)
+    return Match(compose(invert(track.pose), pose), covariance, fit.overlap, fit.residual, True, "")
 
-LOG = None
+
+def _objection(
+    pairing: _Pairing, predicted: Floats, fit: _Fit, pose: Floats, covariance: Floats, settings: Matcher
+) -> str:
+    """Why a fit at a pose is not to be used, if so; the covariance (3, 3) is that of its distance from the odometry."""
+    if fit.overlap < settings.least_overlap:
+        return "too little overlap"
+    if fit.residual > settings.largest_residual:
+        return "does not fit"
+    away = np.array([pose[0] - predicted[0], pose[1] - predicted[1], wrap(pose[2] - predicted[2])])
+    if away @ np.linalg.solve(covariance, away) <= settings.surprise**2:
+        return ""
+    everywhere = (1.0, 0.0, 0.0)
+    before = _Fit(*_linearise(*pairing, predicted, settings.narrowest, everywhere, settings, np.empty((5, 3))))
+    return "far from an odometry that fits as well" if fit.misfit > settings.better * before.misfit else ""
+
+
+class _Fit(NamedTuple):
+    """How well points lie on a submap."""
+
+    overlap: float
+    residual: float
+    misfit: float
+
+
+class _Pairing(NamedTuple):
+    """What is laid on what."""
+
+    q: Floats
+    """(M, 4) points of a scan, in the robot's frame."""
+    points: Floats
+    """(n, 4) points of the submap, by bucket."""
+    start: Ints
+    """(H + 1,) where the points of each bucket begin."""
+
 
 def _rotation(angle: float) -> Floats:
     """(3, 3) that turns the covariance of a pose."""
@@ -257,7 +286,7 @@ def surface_points(scan: Scan, settings: Matcher = STANDARD) -> Floats:
     return _placed(points[:n], scan.origin)
 
 
-def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> tuple[Floats, Any]:
+def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> tuple[Floats, Ints]:
     """The points of the submap within a radius [m], sorted by cell, and where the points of each bucket begin."""
     points = np.concatenate(track.scans)
     buckets = 1 << max(6, int(len(points) - 1).bit_length())
@@ -268,27 +297,21 @@ def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> t
 
 
 def _align(
-    q: Floats, points: Floats, start: Any, predicted: Floats, prior: Floats, lost: bool, settings: Matcher
-) -> tuple[tuple[float, float, float], Floats, Floats]:
-    """(overlap, residual, misfit), pose (3,) and information (3, 3) of the best fit, begun again where it must be.
+    pairing: _Pairing, predicted: Floats, prior: Floats, lost: bool, settings: Matcher
+) -> tuple[_Fit, Floats, Floats]:
+    """The best fit, its pose (3,) and its information (3, 3), begun again where it must be, or if the robot is lost.
 
     The information is that of the scan alone, for a deviation of one metre.
     """
-    best, pose, information = (0.0, math.inf, math.inf), predicted, np.zeros((3, 3))
+    best, pose, information = _Fit(0.0, math.inf, math.inf), predicted, np.zeros((3, 3))
     for turn in (0.0, *settings.restarts):
-        x, system = predicted + [0.0, 0.0, turn], np.empty((5, 3))
-        fit = _descend(q, points, start, predicted, prior, settings, x, system)
-        if fit[2] < best[2]:
+        x, system = predicted + np.array([0.0, 0.0, turn]), np.empty((5, 3))
+        fit = _Fit(*_descend(*pairing, predicted, prior, settings, x, system))
+        if fit.misfit < best.misfit:
             best, pose, information = fit, x, system[:3]
-        if not lost and best[0] >= settings.good_overlap and best[1] <= settings.good_residual:
+        if not lost and best.overlap >= settings.good_overlap and best.residual <= settings.good_residual:
             break
     return best, pose, information
-
-
-def _misfit(q: Floats, points: Floats, start: Any, pose: Floats, settings: Matcher) -> float:
-    """[m^2] of the points q at a pose."""
-    everywhere = (1.0, 0.0, 0.0)
-    return _linearise(q, points, start, pose, settings.narrowest, everywhere, settings, np.empty((5, 3)))[2]
 
 
 def odometry_noise(
@@ -298,15 +321,15 @@ def odometry_noise(
 
     increments (n, 3) lead from each scan to the next, the first of them to the first scan.  Where scans show the pose
     well, the differences between match and odometry are summed over stretches of some metres.  Over those what is
-    systematic in the odometry outgrows what is random in it, and in the matches, and counts as deviation.  The variances
-    are those of the greatest likelihood of a Student distribution, which some wild stretches do not impress.
+    systematic in the odometry outgrows what is random in it, and in the matches, and counts as deviation.  The
+    variances are those of the greatest likelihood of a Student distribution, which a few wild stretches do not impress.
     `believed` is for the matching that this needs.
     """
     believed = believed or OdometryNoise()
     stretches: list[_Stretch] = []
     for first, last in _pieces(increments, settings):
         stretches += _stretches(scans, increments, first, last, settings, believed)
-    _, travel, turned, heading, seen_travel, seen_turned, along, lateral = np.array(stretches).reshape(-1, 8).T
+    travel, turned, heading, seen_travel, seen_turned, along, lateral = np.array(stretches).reshape(-1, 7).T
     seen = seen_travel + seen_turned > 0.0
     seen_travel, seen_turned, along, lateral = seen_travel[seen], seen_turned[seen], along[seen], lateral[seen]
     per_metre, slip = _deviations(along, seen_travel, seen_turned, believed.along, believed.slip)
@@ -318,7 +341,6 @@ def odometry_noise(
 class _Stretch(NamedTuple):
     """Sums over the steps of a stretch; the last four over those where the scans show the place well."""
 
-    steps: float
     travel: float
     turned: float
     heading: float
@@ -353,7 +375,7 @@ def _stretches(
 ) -> list[_Stretch]:
     """What odometry and matches differ by, from scan `first` to `last`."""
     track, _ = match(START, scans[first], np.zeros(3), np.eye(3), settings)
-    found, sums, u = [], np.zeros(8), np.zeros(3)
+    found, sums, u = [], np.zeros(7), np.zeros(3)
     for k in range(first + 1, last + 1):
         u = compose(u, increments[k])
         travel, turned = math.hypot(u[0], u[1]), abs(u[2])
@@ -366,11 +388,12 @@ def _stretches(
             c, q = (u[0] / travel, u[1] / travel) if travel > 0.0 else (1.0, 0.0)
             place = np.array([travel, turned, c * e[0] + q * e[1], c * e[1] - q * e[0]])
             well = np.linalg.eigvalsh(step.covariance[:2, :2])[1] < SEEN * np.linalg.eigvalsh(Q[:2, :2])[0]
-            sums += [1.0, travel, turned, e[2], *(place if well else np.zeros(4))]
-        if not step.used or sums[1] >= LONG[0] or sums[2] >= LONG[1]:
-            if step.used:
-                found.append(_Stretch(*sums))
-            sums = np.zeros(8)
+            sums += [travel, turned, e[2], *(place if well else np.zeros(4))]
+        if not step.used:
+            sums = np.zeros(7)
+        elif sums[0] >= LONG[0] or sums[1] >= LONG[1]:
+            found.append(_Stretch(*sums))
+            sums = np.zeros(7)
         u = np.zeros(3)
     return found
 
@@ -459,7 +482,7 @@ def _bucket(x: Any, y: Any, buckets: Any) -> Any:
 
 @inline
 def _cell(x: Any, size: Any) -> Any:
-    return int(math.floor(x / size))
+    return math.floor(x / size)
 
 
 @kernel
@@ -490,7 +513,7 @@ def _nearest(p: Any, gate: Any, points: Any, start: Any, settings: Any) -> Any:
     size, H = settings.smooth, len(start) - 1
     cx, cy = _cell(p[0], size), _cell(p[1], size)
     least, nearest = gate * gate, -1
-    for ring in range(int(math.ceil(gate / size)) + 1):
+    for ring in range(math.ceil(gate / size) + 1):
         if least <= (max(ring - 1, 0) * size) ** 2:
             break
         for x in range(cx - ring, cx + ring + 1):
@@ -527,9 +550,7 @@ def _mean_surface(k: Any, points: Any, start: Any, settings: Any) -> Any:
 
 
 @kernel
-def _linearise(
-    q: Any, points: Any, start: Any, pose: Any, gate: Any, weak: Any, settings: Any, system: Any
-) -> Any:
+def _linearise(q: Any, points: Any, start: Any, pose: Any, gate: Any, weak: Any, settings: Any, system: Any) -> Any:
     """(overlap, residual [m], misfit [m^2]) of the points at a pose.
 
     system (5, 3) receives the curvature (three rows) and the slope of the misfit, as sums over the pairs, and the sums
@@ -607,9 +628,7 @@ def _roughness(residual: Any, settings: Any) -> Any:
 
 
 @kernel
-def _descend(
-    q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any
-) -> Any:
+def _descend(q: Any, points: Any, start: Any, predicted: Any, prior: Any, settings: Any, pose: Any, system: Any) -> Any:
     """(overlap, residual, misfit) at the end of the way down from `pose` (3,), which receives the end.
 
     predicted (3,) and prior (3, 3) are the pose by odometry and its information; system as in `_linearise`.
