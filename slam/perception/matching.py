@@ -48,9 +48,9 @@ class Matcher(NamedTuple):
     """Beams of a scan that are matched and kept; of more, every second or third is."""
     fewest: int = 15
     """Points with a normal that a scan needs."""
-    baseline: float = 0.2
+    baseline: float = 0.1
     """[m] to either side of a beam from which its normal is taken, and no less than `neighbours` beams."""
-    neighbours: int = 3
+    neighbours: int = 2
     """Beams to either side."""
     smooth: float = 0.1
     """[m] around the nearest point of the submap over which the surface is averaged."""
