@@ -348,10 +348,10 @@ def odometry_noise(
     travel, turned, heading, seen_travel, seen_turned, along, lateral = np.array(stretches).reshape(-1, 7).T
     seen = seen_travel + seen_turned > 0.0
     seen_travel, seen_turned, along, lateral = seen_travel[seen], seen_turned[seen], along[seen], lateral[seen]
-    per_metre, slip = _deviations(along, seen_travel, seen_turned, believed.along, believed.slip)
+    along_per_metre, slip = _deviations(along, seen_travel, seen_turned, believed.along, believed.slip)
     sideways, skid = _deviations(lateral, seen_travel, seen_turned, believed.lateral, believed.slip)
     turns = _deviations(heading, travel, turned, believed.turn_per_metre, believed.turn_per_radian)
-    return OdometryNoise(per_metre, sideways, math.hypot(slip, skid) / math.sqrt(2.0), *turns)
+    return OdometryNoise(along_per_metre, sideways, math.hypot(slip, skid) / math.sqrt(2.0), *turns)
 
 
 class _Stretch(NamedTuple):
@@ -380,6 +380,8 @@ def _pieces(increments: Floats, settings: Matcher) -> list[tuple[int, int]]:
     """(first, last) scans of pieces of the log, spread over all that is not standing still."""
     moved = np.hypot(increments[:, 0], increments[:, 1]) / settings.spacing + np.abs(increments[:, 2]) / settings.turn
     way = np.cumsum(np.minimum(moved, 1.0))
+    if not len(way):
+        return []
     count = max(1, min(LEARNING, math.ceil(way[-1])) // PIECE)
     starts = np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)[:-1])
     ends = np.searchsorted(way, way[starts] + PIECE)
@@ -405,9 +407,7 @@ def _stretches(
             place = np.array([travel, turned, c * e[0] + q * e[1], c * e[1] - q * e[0]])
             well = np.linalg.eigvalsh(step.covariance[:2, :2])[1] < SEEN * np.linalg.eigvalsh(Q[:2, :2])[0]
             sums += [travel, turned, e[2], *(place if well else np.zeros(4))]
-        if not step.used:
-            sums = np.zeros(7)
-        elif sums[0] >= LONG[0] or sums[1] >= LONG[1]:
+        if sums[0] >= LONG[0] or sums[1] >= LONG[1]:
             found.append(_Stretch(*sums))
             sums = np.zeros(7)
         u = np.zeros(3)

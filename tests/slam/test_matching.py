@@ -235,6 +235,29 @@ def test_along_a_corridor_odometry_decides_and_the_covariance_says_so() -> None:
     assert (np.abs(np.mean(errors, axis=0)) < [0.002, 0.002, math.radians(0.05)]).all()
 
 
+def test_somebody_who_walks_ahead_along_a_corridor_is_not_its_end() -> None:
+    """Nothing else shows how far along it the robot is: the odometry is believed more than one who keeps ahead."""
+    laser, noise, errors = Laser(181, 180.0, reach=8.0), OdometryNoise(*[0.04] * 5), []
+    angle, poses = np.linspace(0, 2 * math.pi, 13), np.column_stack([np.arange(0, 4, 0.2), np.zeros(20), np.zeros(20)])
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        tracks = [START, START]
+        for k, pose in enumerate(poses):
+            x = 2.5 + 0.28 * k + rng.normal(0, 0.02)
+            person = path(*zip(x + 0.25 * np.cos(angle), 0.2 + 0.25 * np.sin(angle), strict=True))
+            scan, u = look(rng, np.vstack([HALL, person]), pose, laser), between(poses[max(k - 1, 0)], pose)
+            Q = noise.covariance(u)
+            u = u + np.linalg.cholesky(Q) @ rng.normal(size=3)
+            tracks = [
+                match(track, scan, u, Q, Matcher(caution=caution))[0]
+                for track, caution in zip(tracks, (Matcher().caution, 1.0), strict=True)
+            ]
+        errors.append([track.pose[0] - poses[-1, 0] for track in tracks])
+    cautious, naive = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert cautious < 2.0 * 0.04 * math.sqrt(3.8)  # of the odometry alone
+    assert naive > 1.7 * cautious
+
+
 def test_the_end_of_a_corridor_shows_how_far_along_it_the_robot_is() -> None:
     walls = path((-60, -1), (5, -1), (5, 1), (-60, 1))
     Q = np.diag([0.1, 0.05, 0.1]) ** 2
@@ -479,3 +502,5 @@ def test_a_log_that_shows_nothing_teaches_nothing() -> None:
     nothing = Scan(np.full(181, np.inf), Laser().bearings, np.zeros(3), 8.0)
     learned = odometry_noise([nothing] * 50, np.tile([0.1, 0.0, 0.01], (50, 1)))
     np.testing.assert_allclose(learned, OdometryNoise(), rtol=0.1)
+    np.testing.assert_allclose(odometry_noise([], np.empty((0, 3))), OdometryNoise(), rtol=0.1)
+    np.testing.assert_allclose(odometry_noise([nothing] * 9, np.zeros((9, 3))), OdometryNoise(), rtol=0.1)
