@@ -492,10 +492,13 @@ def test_the_noise_of_an_odometry_is_learned_from_its_log() -> None:
 def test_a_corridor_does_not_teach_what_it_does_not_show() -> None:
     rng, laser = np.random.default_rng(11), Laser(181, 180.0, reach=8.0)
     poses = np.column_stack([np.arange(0.0, 40.0, 0.2), np.zeros(200), np.zeros(200)])
-    u = np.vstack([STILL, between(poses[:-1], poses[1:])]) + np.array([0.02, 0.0, 0.004])
-    learned = odometry_noise([look(rng, HALL, pose, laser) for pose in poses], u)
+    u = np.vstack([STILL, between(poses[:-1], poses[1:])])
+    scans = [look(rng, HALL, pose, laser) for pose in poses]
+    learned = odometry_noise(scans, u + np.array([0.02, 0.0, 0.004]))
     np.testing.assert_allclose(learned.along, OdometryNoise().along, rtol=0.1)
     assert 0.02 < learned.turn_per_metre < 0.08  # 0.02 rad/m, over 5 m
+    assert learned.worth_matching
+    assert not odometry_noise(scans, u).worth_matching
 
 
 def test_a_log_that_shows_nothing_teaches_nothing() -> None:
