@@ -96,7 +96,7 @@ def test_without_noise_the_motion_is_recovered(origin: tuple[float, float, float
 
 
 def test_a_wrong_heading_is_found_again() -> None:
-    """15 and 25 degrees, in random rooms, where one start alone, by odometry, at times ends elsewhere."""
+    """15 and 25 degrees, in random rooms, where one start alone, from where odometry has it, now and then misses."""
     laser, Q = Laser(181, 180.0, reach=30.0), np.diag([0.1, 0.1, math.radians(20)]) ** 2
     alone = []
     for seed in range(60):
@@ -235,6 +235,29 @@ def test_along_a_corridor_odometry_decides_and_the_covariance_says_so() -> None:
     assert (np.abs(np.mean(errors, axis=0)) < [0.002, 0.002, math.radians(0.05)]).all()
 
 
+def test_somebody_who_walks_ahead_along_a_corridor_is_not_its_end() -> None:
+    """Nothing else shows how far along it the robot is: the odometry is believed more than one who keeps ahead."""
+    laser, noise, errors = Laser(181, 180.0, reach=8.0), OdometryNoise(*[0.04] * 5), []
+    angle, poses = np.linspace(0, 2 * math.pi, 13), np.column_stack([np.arange(0, 4, 0.2), np.zeros(20), np.zeros(20)])
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        tracks = [START, START]
+        for k, pose in enumerate(poses):
+            x = 2.5 + 0.28 * k + rng.normal(0, 0.02)
+            person = path(*zip(x + 0.25 * np.cos(angle), 0.2 + 0.25 * np.sin(angle), strict=True))
+            scan, u = look(rng, np.vstack([HALL, person]), pose, laser), between(poses[max(k - 1, 0)], pose)
+            Q = noise.covariance(u)
+            u = u + np.linalg.cholesky(Q) @ rng.normal(size=3)
+            tracks = [
+                match(track, scan, u, Q, Matcher(caution=caution))[0]
+                for track, caution in zip(tracks, (Matcher().caution, 1.0), strict=True)
+            ]
+        errors.append([track.pose[0] - poses[-1, 0] for track in tracks])
+    cautious, naive = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert cautious < 2.0 * 0.04 * math.sqrt(3.8)  # of the odometry alone
+    assert naive > 1.7 * cautious
+
+
 def test_the_end_of_a_corridor_shows_how_far_along_it_the_robot_is() -> None:
     walls = path((-60, -1), (5, -1), (5, 1), (-60, 1))
     Q = np.diag([0.1, 0.05, 0.1]) ** 2
@@ -301,17 +324,22 @@ def test_another_place_is_no_match() -> None:
 
 
 def test_what_is_far_from_the_odometry_must_fit_much_better() -> None:
-    """Two walls of a room are screens, and stand 10 cm further on now: 12 deviations of this odometry."""
+    """Two walls of a room are screens, and stand 10 cm further on now: 12 deviations of a very good odometry."""
     before = np.array([[-2, -2, 3, -2], [3, -2, 3, 2], [3, 2, -2, 2], [-2, 2, -2, -2]], float)
     after, laser, u = before.copy(), Laser(181, 180.0), np.array([0.2, 0.0, 0.0])
     after[:2] += [0.1, 0.0, 0.1, 0.0]
     track, scan = begin(before, STILL, laser), look(np.random.default_rng(2), after, u, laser)
-    Q = OdometryNoise(*[0.01] * 5).covariance(u)
-    assert match(track, scan, u, Q)[1].used
-    found = match(track, scan, u, Q, Matcher(better=0.1))[1]
+    good, bad = OdometryNoise(*[0.01] * 5).covariance(u), OdometryNoise(*[0.1] * 5).covariance(u)
+    found = match(track, scan, u, good)[1]
     assert (found.used, found.reason) == (False, "far from an odometry that fits as well")
     assert found.u is u
-    assert match(track, scan, u, Q, Matcher(better=0.1, surprise=15.0))[1].used
+    assert match(track, scan, u, good, Matcher(surprise=15.0))[1].used
+    assert match(track, scan, u, bad)[1].used
+    # What fits that much better is believed: here the robot did move, and the wheels slipped.
+    slipped = look(np.random.default_rng(3), before, np.array([0.3, 0.0, 0.15]), laser)
+    found = match(track, slipped, u, OdometryNoise(*[0.03] * 5).covariance(u))[1]
+    assert found.used
+    np.testing.assert_allclose(found.u, [0.3, 0.0, 0.15], atol=0.02)  # 11 deviations off
 
 
 def test_good_odometry_is_not_spoilt_in_a_thicket() -> None:
@@ -464,13 +492,18 @@ def test_the_noise_of_an_odometry_is_learned_from_its_log() -> None:
 def test_a_corridor_does_not_teach_what_it_does_not_show() -> None:
     rng, laser = np.random.default_rng(11), Laser(181, 180.0, reach=8.0)
     poses = np.column_stack([np.arange(0.0, 40.0, 0.2), np.zeros(200), np.zeros(200)])
-    u = np.vstack([STILL, between(poses[:-1], poses[1:])]) + np.array([0.02, 0.0, 0.004])
-    learned = odometry_noise([look(rng, HALL, pose, laser) for pose in poses], u)
+    u = np.vstack([STILL, between(poses[:-1], poses[1:])])
+    scans = [look(rng, HALL, pose, laser) for pose in poses]
+    learned = odometry_noise(scans, u + np.array([0.02, 0.0, 0.004]))
     np.testing.assert_allclose(learned.along, OdometryNoise().along, rtol=0.1)
     assert 0.02 < learned.turn_per_metre < 0.08  # 0.02 rad/m, over 5 m
+    assert learned.worth_matching
+    assert not odometry_noise(scans, u).worth_matching
 
 
 def test_a_log_that_shows_nothing_teaches_nothing() -> None:
     nothing = Scan(np.full(181, np.inf), Laser().bearings, np.zeros(3), 8.0)
     learned = odometry_noise([nothing] * 50, np.tile([0.1, 0.0, 0.01], (50, 1)))
     np.testing.assert_allclose(learned, OdometryNoise(), rtol=0.1)
+    np.testing.assert_allclose(odometry_noise([], np.empty((0, 3))), OdometryNoise(), rtol=0.1)
+    np.testing.assert_allclose(odometry_noise([nothing] * 9, np.zeros((9, 3))), OdometryNoise(), rtol=0.1)
