@@ -8,6 +8,12 @@ from scenarios.logs.odometry import increments
 from scenarios.types import Source
 from slam.motion import Odometry
 from slam.perception.matching import odometry_noise
+from slam.perception.odometry import worth_matching
+
+GOOD = (
+    "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so scans are not "
+    "matched; --matching on does it all the same"
+)
 
 
 def with_learned_odometry(source: Source) -> Source:
@@ -27,9 +33,12 @@ def with_learned_odometry(source: Source) -> Source:
         slip=found.slip / found.along,
         walk=True,
     )
+    noise = replace(source.noise, odometry=found.along)
+    told = () if worth_matching(motion, noise) else (GOOD.format(source.name, found.turn_per_metre),)
     return replace(
         source,
         motion=motion,
-        noise=replace(source.noise, odometry=found.along),
+        noise=noise,
+        warnings=(*source.warnings, *told),
         steps=tuple(step._replace(frame=step.frame._replace(motion=motion)) for step in source.steps),
     )

@@ -163,15 +163,6 @@ class OdometryNoise(NamedTuple):
         Q[2, 2] = self.turn_per_metre**2 * travel + self.turn_per_radian**2 * turned + STILL[1] ** 2
         return Q
 
-    @property
-    def worth_matching(self) -> bool:
-        """Whether matches are likely to be better than this odometry, in the long run.
-
-        The heading of matches drifts too: by 1 degree in 20 m (0.004 rad after one metre) on the real logs that were
-        looked at.  With an odometry as good as that (0.002 and 0.005) they did harm, with others (0.026 to 0.11) good.
-        """
-        return self.turn_per_metre > 0.01
-
 
 STILL = (1e-3, 1e-3)
 """[m], [rad] Deviations of an increment of a robot that stands still."""

@@ -76,6 +76,15 @@ def test_without_a_scan_nothing_changes(frames: tuple[list[Frame], Floats]) -> N
     assert correct_odometry(None, frame, Params(matching="on")) == (None, frame, None)
 
 
+def test_a_very_good_odometry_is_left_alone_unless_somebody_wants_it(frames: tuple[list[Frame], Floats]) -> None:
+    frame, u = frames[0][0], np.array([[0.5, 0.0, 0.0]])
+    frame = frame._replace(motion=Odometry(0.1, 1.0, 1.0, 0.0, True), u=u, dt=np.ones(1))
+    for odometry, how, leaves in ((0.07, "auto", True), (0.07, "on", False), (0.08, "auto", False)):
+        params = Params(matching=how, believed=Noise(range=0.01, odometry=odometry))
+        track, same, match = correct_odometry(None, frame, params)
+        assert (same is frame and track is None and match is None) == leaves
+
+
 def test_what_is_not_matched_is_odometry(frames: tuple[list[Frame], Floats]) -> None:
     noisy, _ = frames
     params = Params(matching="on")
