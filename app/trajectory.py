@@ -9,8 +9,9 @@
 
 A `.tum` line is `time x y z qx qy qz qw`, one for every observation, with the source's own stamp.  Metres.
 
-Of a laser log these are all its scans, not only the steps: between two steps poses go on by odometry, and in
-`<filter>.tum` fit both; `truth.tum` has the steps whose truth is known.  Lines are in the order of the stamps.
+Of a laser log these are all its scans, not only the steps: between two steps poses go on by the scans that were matched
+on the way, or by odometry, and in `<filter>.tum` fit both; `truth.tum` has the steps whose truth is known.  Lines are
+in the order of the stamps.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ import numpy as np
 from app.colours import TRUTH, of_filter
 from app.drawing import Layer, draw_map, map_layer, scan_points, truth_layer
 from app.files import write_whole
+from app.paths import Paths
 from app.types import SessionInfo, SessionStep, best_descendant, best_path
-from scenarios.logs.keyframes import every_scan
 from slam.features import Wall
 from slam.features.wall import ends
 from slam.types import UNKNOWN_TAG, Floats, Ints
@@ -39,48 +40,43 @@ class Trajectory:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self._truth: list[tuple[float, Floats]] = []
-        self._odometry: list[Floats] = []
-        self._matched: list[Floats] = []
+        self._paths = Paths()
         self._online: dict[str, list[Floats]] = {}
-        self._last: SessionStep | None = None
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
         self._info = info
+        self._paths.begin(info)
         self._online = {f.key: [] for f in info.filters}
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
-        self._odometry.append(step.odometry)
-        if step.matched is not None:
-            self._matched.append(step.matched)
+        self._paths.step(step)
         if step.truth is not None:
             self._truth.append((float(step.frame.time), step.truth))
         for key, update in step.filters.items():
             self._online[key].append(update.measures.estimate)
-        self._last = step
 
     def end(self) -> None:
         """Write everything; nothing if there was no step."""
-        if self._last is None:
+        last = self._paths.last
+        if last is None:
             return
         self.directory.mkdir(parents=True, exist_ok=True)
         truth_times = np.array([time for time, _ in self._truth])
         truth = np.array([pose for _, pose in self._truth]).reshape(-1, 3)
-        self._write_path("odometry.tum", np.array(self._odometry))
-        if len(self._matched) == len(self._odometry):
-            self._write_path("matching.tum", np.array(self._matched))
+        for name, (stamps, poses) in self._paths.found().items():
+            self._write_path(f"{name}.tum", stamps, poses)
         if len(truth):
             self._write("truth.tum", tum(truth_times, truth))
             truth = with_gaps(truth_times, truth)
         layers: dict[str, Layer] = {}
         for estimator in self._info.filters:
-            key, update = estimator.key, self._last.filters[estimator.key]
+            key, update = estimator.key, last.filters[estimator.key]
             k = best_descendant(update)
             path = best_path(update)
             theta, Sigma, tags = update.trace.resampled.maps.features(k)
-            self._write_path(f"{key}.tum", path)
-            self._write_path(f"{key}-online.tum", np.array(self._online[key]), fit=False)
+            self._write_path(f"{key}-online.tum", *self._paths.every_scan(np.array(self._online[key]), fit=False))
             feature = self._info.source.feature
             self._write(f"{key}.geojson", geojson(estimator.title, path, feature, theta, Sigma, tags))
             layers[key] = map_layer(estimator.title, of_filter(key), path, feature, theta, Sigma)
@@ -100,9 +96,8 @@ class Trajectory:
         backdrop = truth_layer("truth", TRUTH, truth, np.zeros((0, 2)) if true_map is None else true_map.theta)
         return draw_map(f"{source.title}, seed {self._info.seed}", backdrop, layers, scanned)
 
-    def _write_path(self, name: str, poses: Floats, fit: bool = True) -> None:
-        """The poses (T, 3) of the steps, with those of the scans of a log that lie between, ordered by their stamps."""
-        stamps, poses = every_scan(self._info.source, poses, fit)
+    def _write_path(self, name: str, stamps: Floats, poses: Floats) -> None:
+        """The poses (M, 3), ordered by their stamps (M,)."""
         order = np.argsort(stamps, kind="stable")
         self._write(name, tum(stamps[order], poses[order]))
 

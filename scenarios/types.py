@@ -38,6 +38,8 @@ class LogScans(NamedTuple):
     """(N, 3) [m, m, rad] pose of the robot at each scan, as its odometry reports it."""
     kept: Ints
     """(F,) for each step of the source its scan, increasing."""
+    between: tuple[Ints, ...] = ()
+    """For each step the scans of `Frame.between`; or nothing at all, if there are none."""
 
 
 @dataclass(frozen=True)

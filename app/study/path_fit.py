@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from app.errors import UsageError
-from scenarios.logs.keyframes import every_scan
 from scenarios.types import Source
 from slam.alignment import align_rigid
 from slam.geometry import compose, invert
@@ -74,10 +73,10 @@ def closures_of(pairs: Sequence[tuple[int, int]], source: Source, whole: Source)
     return tuple(found)
 
 
-def fit(source: Source, poses: Floats, errors: RelationErrors | None, closures: Sequence[Closure]) -> Fit:
-    """How well the path through the poses (T, 3) of all steps fits."""
+def fit(source: Source, path: Floats, errors: RelationErrors | None, closures: Sequence[Closure]) -> Fit:
+    """How well a path (M, 3) fits: the poses of all scans of the log from the first step of the source to its last."""
     assert source.scans is not None
-    _, path = every_scan(source, poses)
+    steps = path[source.scans.kept - source.scans.kept[0]]
     off = []
     for first, second, between in closures:
         a, b = path[[first, second] - source.scans.kept[0]]
@@ -86,7 +85,7 @@ def fit(source: Source, poses: Floats, errors: RelationErrors | None, closures: 
     if errors is not None and errors.translation_m is not None and errors.rotation_rad is not None:
         used, translation, rotation = errors.used, errors.translation_m, errors.rotation_rad.mean
     mean, _, median, p95, largest = translation
-    return Fit(used, mean, median, p95, largest, rotation, aligned_rms(source, poses), tuple(off))
+    return Fit(used, mean, median, p95, largest, rotation, aligned_rms(source, steps), tuple(off))
 
 
 def aligned_rms(source: Source, poses: Floats) -> float:

@@ -13,7 +13,7 @@ from scenarios.logs.odometry import carried, travelled
 from scenarios.types import Source, SourceError, Step
 from slam.geometry import wrap_all
 from slam.motion import Odometry
-from slam.types import Floats, Ints, Scan
+from slam.types import Floats, Ints
 
 USUAL = (0.5, math.radians(15.0))
 """[m, rad] of motion between two keyframes of a laser log.
@@ -47,7 +47,8 @@ def keyframes(source: Source, distance: float, turn: float) -> Source:
     index: list[int] = []
     moved, tick, passed = NOWHERE, NOWHERE, 0.0
     ticks: list[tuple[Motion, float]] = []
-    between: list[Scan] = []
+    between: list[int] = []
+    passed_by: list[Ints] = []
     last = len(source.steps) - 1
     for i, step in enumerate(source.steps):
         for u in step.frame.u.tolist():
@@ -55,17 +56,21 @@ def keyframes(source: Source, distance: float, turn: float) -> Source:
         passed += float(step.frame.dt.sum())
         if i in (0, last) or _reaches(moved, distance, turn):
             u, dt = zip(*ticks, (tick, passed), strict=True)
-            frame = step.frame._replace(u=np.array(u), dt=np.array(dt), between=tuple(between))
+            scans = tuple(scan for j in between if (scan := source.steps[j].frame.scan) is not None)
+            frame = step.frame._replace(u=np.array(u), dt=np.array(dt), between=scans)
             kept.append(step._replace(frame=frame))
             index.append(i)
+            passed_by.append(np.array(between, np.int64))
             moved, tick, passed, ticks, between = NOWHERE, NOWHERE, 0.0, [], []
         elif step.frame.scan is not None and _reaches(tick, *PASSING):
             ticks.append((tick, passed))
-            between.append(step.frame.scan)
+            between.append(i)
             tick, passed = NOWHERE, 0.0
-    scans = source.scans and source.scans._replace(kept=source.scans.kept[index])
+    log = source.scans
+    if log is not None:
+        log = log._replace(kept=log.kept[index], between=tuple(log.kept[by] for by in passed_by))
     options = {**source.options, "keyframe": [distance, math.degrees(turn)]}
-    return replace(source, steps=tuple(kept), scans=scans, options=options)
+    return replace(source, steps=tuple(kept), scans=log, options=options)
 
 
 def _reaches(moved: Motion, distance: float, turn: float) -> bool:
@@ -78,19 +83,23 @@ def _then(moved: Motion, u: Sequence[float]) -> Motion:
     return moved[0] + c * u[0] - s * u[1], moved[1] + s * u[0] + c * u[1], moved[2] + u[2]
 
 
-def every_scan(source: Source, poses: Floats, fit: bool = True) -> tuple[Floats, Floats]:
+def every_scan(
+    source: Source, poses: Floats, fit: bool = True, odometry: Floats | None = None
+) -> tuple[Floats, Floats]:
     """Stamps (M,) [s] and poses (M, 3) of all scans of a log between its first step and that of the last pose.
 
-    poses (T, 3): those of the first T steps.  Between two steps a pose goes on by odometry; and with `fit`, what it is
-    off at the second one is spread over the way there, in proportion to what the robot has travelled.  Without, nothing
-    is known yet of what comes.
+    poses (T, 3): those of the first T steps.  Between two steps a pose goes on by odometry, that of the log or a better
+    one (M, 3); and with `fit`, what it is off at the second one is spread over the way there, in proportion to what the
+    robot has travelled.  Without, nothing is known yet of what comes.
     """
     if source.scans is None:
         return np.array([step.frame.time for step in source.steps[: len(poses)]]), poses
     kept = source.scans.kept[: len(poses)]
     if not len(kept):
         return np.zeros(0), np.zeros((0, 3))
-    begin, odometry = kept[0], source.scans.odometry[kept[0] : kept[-1] + 1]
+    begin = kept[0]
+    if odometry is None:
+        odometry = source.scans.odometry[begin : kept[-1] + 1]
     at = kept - begin
     before = np.searchsorted(at, np.arange(len(odometry)), side="right") - 1  # for each scan its last step
     found = carried(poses[before], odometry[at[before]], odometry)

@@ -131,6 +131,8 @@ class Match(NamedTuple):
     """Whether u is that of the match; else it is the odometry as it was given, and so is the covariance."""
     reason: str
     """Why it is not."""
+    passed: Floats = np.zeros((0, 3))
+    """(n, 3) increments like u up to each of n scans that were matched on the way."""
 
 
 class OdometryNoise(NamedTuple):

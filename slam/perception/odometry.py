@@ -61,15 +61,15 @@ def correct_odometry(
         return None, frame, None
     if params.matching == "on":
         settings = settings._replace(surprise=math.inf)
-    track, moved, matches = track or START, NOWHERE, []
+    track, moved, matches = track or START, [NOWHERE], []
     for scan, way in _ways(frame, params):
         track, match = match_scan(track, scan, way.u, way.covariance, settings)
-        moved = then(moved, Increment(match.u, match.covariance))
+        moved.append(then(moved[-1], Increment(match.u, match.covariance)))
         matches.append(match)
-    found = _of_all(moved, matches)
+    found = _of_all(moved[1:], matches)
     if not any(match.used for match in matches):
         return track, frame, found
-    model, w = matched(moved.u, moved.covariance)
+    model, w = matched(found.u, found.covariance)
     return track, frame._replace(motion=model, u=w[None], dt=np.array([frame.dt.sum()])), found
 
 
@@ -97,7 +97,9 @@ def _ways(frame: Frame, params: Params) -> Iterator[tuple[Scan, Increment]]:
         yield scan, increment(frame, params, tick, tick + 1)
 
 
-def _of_all(moved: Increment, matches: Sequence[Match]) -> Match:
+def _of_all(moved: Sequence[Increment], matches: Sequence[Match]) -> Match:
+    """What the matches come to, with the motions from the beginning of the frame up to each."""
     reason = next((match.reason for match in matches if not match.used), "")
     overlap, residual = min(match.overlap for match in matches), max(match.residual for match in matches)
-    return Match(*moved, overlap, residual, all(match.used for match in matches), reason)
+    passed = np.array([motion.u for motion in moved[:-1]]).reshape(-1, 3)
+    return Match(*moved[-1], overlap, residual, all(match.used for match in matches), reason, passed)

@@ -109,18 +109,19 @@ def test_every_second_scan_is_a_step_and_every_scan_a_line(drive: Drive, tmp_pat
     assert len(tum(tmp_path / "dfs.tum")[0]) == STEPS - 1  # the last one is beyond the last step
 
 
-def test_online_paths_do_not_know_what_comes(drive: Drive, tmp_path: Path) -> None:
-    """Between two steps they go on as odometry does, and are set right at the next."""
-    assert run(drive.log, "--keyframe", "2,360", "--trajectory", tmp_path) == 0
+@pytest.mark.parametrize(("matching", "alone"), [("off", "odometry"), ("on", "matching")])
+def test_online_paths_do_not_know_what_comes(drive: Drive, tmp_path: Path, matching: str, alone: str) -> None:
+    """Between two steps they go on as odometry does, or the matches on the way, and are set right at the next."""
+    assert run(drive.log, "--keyframe", "2,360", "--trajectory", tmp_path, "--matching", matching) == 0
     order = np.argsort(drive.stamps, kind="stable")
     moved = {}
-    for name in ("dfs", "dfs-online", "odometry"):
+    for name in ("dfs", "dfs-online", alone):
         path = np.empty((STEPS, 3))
         path[order] = tum(tmp_path / f"{name}.tum")[1]
         moved[name] = compose(invert(path[:-1]), path[1:])[:, :2]
-    as_odometry = {n: np.isclose(moved[n], moved["odometry"], atol=1e-4).all(axis=1) for n in ("dfs", "dfs-online")}
-    assert as_odometry["dfs-online"].mean() > 0.7
-    assert as_odometry["dfs"].mean() < 0.5
+    as_alone = {n: np.isclose(moved[n], moved[alone], atol=1e-4).all(axis=1) for n in ("dfs", "dfs-online")}
+    assert as_alone["dfs-online"].mean() > 0.7
+    assert as_alone["dfs"].mean() < 0.5
 
 
 def test_what_does_not_go_together(drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
