@@ -83,6 +83,9 @@ class Matcher(NamedTuple):
     """At most."""
     restarts: tuple[float, ...] = (math.radians(6.0), -math.radians(6.0), math.radians(14.0), -math.radians(14.0))
     """[rad] from the heading by odometry at which to begin again, where that heading itself leads to nothing good."""
+    shares: tuple[float, ...] = (0.0, -1.0)
+    """Of the way by odometry, at which to begin again, too: wheels slip, and odometers are known that count ahead when
+    the robot goes back (in the log of Freiburg's building 079)."""
     good_overlap: float = 0.7
     """The share of the points that are paired, from which on nothing is begun again."""
     good_residual: float = 0.03
@@ -222,7 +225,9 @@ def _match(track: Track, q: Floats, u: Floats, Q: Floats, doubt: Floats, setting
     prior = np.linalg.inv(doubt + np.diag([SLIGHTEST**2] * 3)).astype(np.float64)
     reach = float(np.hypot(q[:, 0], q[:, 1]).max()) + settings.widest
     pairing = _Pairing(q, *_submap(track, predicted, reach, settings))
-    fit, pose, information = _align(pairing, predicted, prior, settings)
+    starts = [predicted + np.array([0.0, 0.0, turn]) for turn in (0.0, *settings.restarts)]
+    starts += [compose(track.pose, u * [share, share, 1.0]) for share in settings.shares]
+    fit, pose, information = _align(pairing, predicted, starts, prior, settings)
     covariance = np.linalg.inv(information / (settings.reported * _roughness(fit.residual, settings)) ** 2 + prior)
     distance2 = float(fit.away @ np.linalg.solve(doubt + covariance, fit.away))
     reason = _objection(pairing, predicted, fit, distance2, settings)
@@ -314,14 +319,17 @@ def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> t
     return ordered[:n], start
 
 
-def _align(pairing: _Pairing, predicted: Floats, prior: Floats, settings: Matcher) -> tuple[_Fit, Floats, Floats]:
-    """The best fit, its pose (3,) and its information (3, 3), begun again where it must be.
+def _align(
+    pairing: _Pairing, predicted: Floats, starts: Sequence[Floats], prior: Floats, settings: Matcher
+) -> tuple[_Fit, Floats, Floats]:
+    """The best fit, its pose (3,) and its information (3, 3), begun at the first of the starts (3,), and where that leads
+    to nothing good at the others.
 
     The information is that of the scan alone, for a deviation of one metre.
     """
     best, pose, information = _Fit(0.0, math.inf, math.inf, np.zeros(3)), predicted, np.zeros((3, 3))
-    for turn in (0.0, *settings.restarts):
-        x, system = predicted + np.array([0.0, 0.0, turn]), np.empty((5, 3))
+    for start in starts:
+        x, system = start.copy(), np.empty((5, 3))
         overlap, residual, misfit = _descend(*pairing, predicted, prior, settings, x, system)
         away = np.array([x[0] - predicted[0], x[1] - predicted[1], wrap(x[2] - predicted[2])])
         fit = _Fit(overlap, residual, _cost(pairing, misfit, float(away @ prior @ away), settings), away)
