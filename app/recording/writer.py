@@ -108,7 +108,7 @@ class Writer:
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
         way_known = any(step.truth is not None for step in info.source.steps[: info.steps])
-        self._survey = None if way_known or info.source.kind == "world" else Survey(extent)
+        self._survey = None if way_known else Survey(extent)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}

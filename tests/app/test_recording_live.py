@@ -166,7 +166,7 @@ def test_a_file_without_an_index_holds_the_same(
     info: SessionInfo, steps: list[SessionStep], tmp_path: Path, index: bool
 ) -> None:
     path = tmp_path / "a.rrd"
-    writer = Writer(info, partial(FileStream, path, index=index))
+    writer = Writer(info, partial(FileStream, path) if index else partial(FileStream, path, index=False))
     for step in steps:
         writer.step(step)
     writer.close()

@@ -116,8 +116,13 @@ def test_scans_on_the_way_are_matched_one_after_the_other(frames: tuple[list[Fra
         max(first.residual, second.residual),
     )
     assert frame.dt.sum() == pytest.approx(both.dt.sum())
-    _, lumped, _ = correct_odometry(track, both._replace(between=()), params)  # which scan is whose is not known
-    assert lumped.u.shape == (1, 3)
+    alone = []  # where it is not known which scan is whose, there is one way, for the last of them
+    for between in ((), (a.scan, a.scan)):
+        _, lumped, match = correct_odometry(track, both._replace(between=between), params)
+        assert lumped.u.shape == (1, 3)
+        assert match is not None
+        alone.append(match.u.tolist())
+    assert alone[0] == alone[1] != found.u.tolist()
 
 
 def test_a_way_of_which_a_part_is_matched(frames: tuple[list[Frame], Floats]) -> None:
