@@ -12,10 +12,11 @@ from rerun.chunk import RrdReader
 from app import colours, session
 from app.colours import MATCHED, NEW, REJECTED, of_filter
 from app.recording import Recorder, arrow, texts, walls
-from app.recording.ground import extent_of, returns
+from app.recording.ground import extent_of
 from app.recording.limits import limits_for
 from app.recording.reading import Recording
 from app.recording.scene import Style
+from app.scans import returns
 from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from scenarios.types import TrueMap
