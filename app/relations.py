@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from app.errors import UsageError
-from app.types import SessionInfo, SessionStep, best_path
+from app.paths import Paths
+from app.types import SessionInfo, SessionStep
 from scenarios.logs.keyframes import every_scan
 from scenarios.logs.relations import Relations, read_relations
 from scenarios.types import Source
 from slam.relations import RelationErrors, relation_errors
-from slam.types import Floats
-
-ODOMETRY, MATCHED = "odometry", "matching"
 
 
 def relations_of(path: Path, source: Source) -> Relations:
@@ -29,8 +25,7 @@ class PathErrors:
 
     def __init__(self, relations: Relations) -> None:
         self.relations = relations
-        self._matched: list[Floats] = []
-        self._last: SessionStep | None = None
+        self._paths = Paths()
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
@@ -38,21 +33,10 @@ class PathErrors:
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
-        if step.matched is not None:
-            self._matched.append(step.matched)
-        self._last = step
+        self._paths.step(step)
 
     def found(self) -> dict[str, RelationErrors]:
-        """Of odometry, of what scan matching alone makes of it, and of the best particle's lineage of each filter by
-        its key; empty before the first step."""
-        if self._last is None:
-            return {}
-        scans, last = self._source.scans, self._last
-        assert scans is not None
-        ran = slice(scans.kept[0], scans.kept[last.index - 1] + 1)
-        paths = {ODOMETRY: (scans.stamps[ran], scans.odometry[ran])}
-        if len(self._matched) == last.index:  # it was on all the time
-            paths[MATCHED] = every_scan(self._source, np.array(self._matched))
-        paths |= {key: every_scan(self._source, best_path(update)) for key, update in last.filters.items()}
+        """Of all `Paths`, with the scans between the steps; empty before the first step."""
         _, times, poses, _ = self.relations
+        paths = {key: every_scan(self._source, path) for key, path in self._paths.found().items()}
         return {key: relation_errors(stamps, path, times, poses) for key, (stamps, path) in paths.items()}

@@ -26,6 +26,7 @@ import numpy as np
 from app.colours import TRUTH, of_filter
 from app.drawing import Layer, draw_map, map_layer, truth_layer
 from app.files import write_whole
+from app.paths import Paths
 from app.scans import all_returns
 from app.types import SessionInfo, SessionStep, best_descendant, best_path
 from scenarios.logs.keyframes import every_scan
@@ -40,10 +41,8 @@ class Trajectory:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self._truth: list[tuple[float, Floats]] = []
-        self._odometry: list[Floats] = []
-        self._matched: list[Floats] = []
+        self._paths = Paths()
         self._online: dict[str, list[Floats]] = {}
-        self._last: SessionStep | None = None
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
@@ -52,31 +51,28 @@ class Trajectory:
 
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
-        self._odometry.append(step.odometry)
-        if step.matched is not None:
-            self._matched.append(step.matched)
+        self._paths.step(step)
         if step.truth is not None:
             self._truth.append((float(step.frame.time), step.truth))
         for key, update in step.filters.items():
             self._online[key].append(update.measures.estimate)
-        self._last = step
 
     def end(self) -> None:
         """Write everything; nothing if there was no step."""
-        if self._last is None:
+        last = self._paths.last
+        if last is None:
             return
         self.directory.mkdir(parents=True, exist_ok=True)
         truth_times = np.array([time for time, _ in self._truth])
         truth = np.array([pose for _, pose in self._truth]).reshape(-1, 3)
-        self._write_path("odometry.tum", np.array(self._odometry))
-        if len(self._matched) == len(self._odometry):
-            self._write_path("matching.tum", np.array(self._matched))
+        for name, poses in self._paths.alone().items():
+            self._write_path(f"{name}.tum", poses)
         if len(truth):
             self._write("truth.tum", tum(truth_times, truth))
             truth = with_gaps(truth_times, truth)
         layers: dict[str, Layer] = {}
         for estimator in self._info.filters:
-            key, update = estimator.key, self._last.filters[estimator.key]
+            key, update = estimator.key, last.filters[estimator.key]
             k = best_descendant(update)
             path = best_path(update)
             theta, Sigma, tags = update.trace.resampled.maps.features(k)

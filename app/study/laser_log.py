@@ -20,7 +20,8 @@ from app.drawing import NO_TRUTH, draw_map, map_layer
 from app.errors import UsageError
 from app.files import check_directory, write_whole
 from app.options import FILTERS, BelievedNoise, FilterOptions, LogOptions, WorldNoise, default, parameters
-from app.relations import MATCHED, ODOMETRY, PathErrors, relations_of
+from app.paths import MATCHED, ODOMETRY, Paths
+from app.relations import PathErrors, relations_of
 from app.scans import all_returns
 from app.sources import LogParts, load
 from app.study.jobs import run_all
@@ -29,11 +30,11 @@ from app.study.path_fit import NEAR, Closure, Fit, closures_of, fit
 from app.study.statistics import spread
 from app.study.walls import settings
 from app.summary import Summary
-from app.types import SessionInfo, SessionStep, best_descendant, best_path
+from app.types import SessionStep, best_descendant, best_path
 from scenarios.logs.relations import Relations
 from scenarios.types import Source
 from slam.limits import PARAMS, Interval
-from slam.types import Floats, Params
+from slam.types import Params
 
 ALONE = {ODOMETRY: "odometry alone", MATCHED: "matching alone"}
 """What needs no filter, by the key of its path."""
@@ -165,10 +166,10 @@ def one_run(task: Task) -> Outcome:
     study = task.study
     source, relations = _load(study)
     judge = None if relations is None else PathErrors(relations)
-    summary, paths = Summary(paths=judge), _Paths()
+    summary, paths = Summary(paths=judge), Paths()
     params = _tuned(study, source, task.particles)
     session.run(session.make_info(source, [ESTIMATORS[task.filter]], params, None, task.seed), [summary, paths])
-    if study.picture is not None and task.seed == study.seed:
+    if study.picture is not None and paths.last is not None and task.seed == study.seed:
         _draw(study.picture, source, task, paths.last)
     series = summary.filters[task.filter]
     errors = judge.found() if judge else {}
@@ -182,32 +183,6 @@ def one_run(task: Task) -> Outcome:
         filter_s=seconds,
         real_time_factor=summary.seconds() / seconds if _has_clock(source) else math.nan,
     )
-
-
-class _Paths:
-    """An observer that takes the poses of all paths at the steps."""
-
-    last: SessionStep
-
-    def __init__(self) -> None:
-        self.alone: dict[str, list[Floats]] = {ODOMETRY: [], MATCHED: []}
-
-    def begin(self, info: SessionInfo) -> None:
-        pass
-
-    def step(self, step: SessionStep) -> None:
-        self.last = step
-        for key, pose in ((ODOMETRY, step.odometry), (MATCHED, step.matched)):
-            if pose is not None:
-                self.alone[key].append(pose)
-
-    def end(self) -> None:
-        pass
-
-    def found(self) -> dict[str, Floats]:
-        """(T, 3) each."""
-        whole = {key: np.array(poses) for key, poses in self.alone.items() if len(poses) == self.last.index}
-        return whole | {key: best_path(update) for key, update in self.last.filters.items()}
 
 
 def worse(alone: Mapping[str, Fit], cells: Cells) -> list[str]:

@@ -10,7 +10,8 @@ import pytest
 
 from app import session
 from app.errors import UsageError
-from app.relations import MATCHED, ODOMETRY, PathErrors, relations_of
+from app.paths import MATCHED, ODOMETRY
+from app.relations import PathErrors, relations_of
 from app.sources import LogParts, load
 from app.types import SessionInfo, SessionStep, best_path
 from scenarios.logs.keyframes import every_scan
