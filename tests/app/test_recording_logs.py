@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rerun as rr
 import rerun.blueprint as rrb
 
 from app import session
@@ -27,6 +26,7 @@ from slam.estimators import ESTIMATORS
 from slam.types import Floats, Scan
 from tests.app.drive import Drive
 from tests.app.test_recording import Watch
+from tests.app.test_recording_walls import recorded_strictly
 
 KEYS, K = ("fs2", "dfs"), 10
 
@@ -49,13 +49,7 @@ def info(drive: Drive) -> SessionInfo:
 
 @pytest.fixture(scope="module")
 def recorded(info: SessionInfo, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[SessionStep]]:
-    path, watch = tmp_path_factory.mktemp("log") / "run.rrd", Watch()
-    rr.set_strict_mode(True)
-    try:
-        session.run(info, [Recorder(path), watch])
-    finally:
-        rr.set_strict_mode(False)
-    return Recording(path), watch.steps
+    return recorded_strictly(info, tmp_path_factory.mktemp("log") / "run.rrd")
 
 
 class Kept(FileStream):
