@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from html import escape
 from typing import Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from slam.features import Wall
 from slam.features.wall import ends
-from slam.geometry import compose, ellipse_axes
-from slam.types import Bools, Floats, Scan
+from slam.geometry import ellipse_axes
+from slam.types import Bools, Floats
 
 WIDTH = 1000
 LARGEST_HEIGHT = 1000
@@ -85,18 +85,6 @@ def map_layer(
     variance = np.einsum("nei,nij,nej->ne", lever, Sigma, lever)
     walls = Walls(ends(theta), theta[:, 5:7] > 0.0, np.sqrt(np.maximum(variance, 0.0)))
     return Layer(title, colour, path, walls=walls)
-
-
-def scan_points(scans: Sequence[Scan | None], path: Floats) -> Floats:
-    """(N, 2) [m] what came back to the laser in each scan, seen from the pose (T, 3) at which it was taken."""
-    found = [np.zeros((0, 2))]
-    for scan, pose in zip(scans, path, strict=True):
-        if scan is not None:
-            x, y, heading = compose(pose, scan.origin)
-            back = np.isfinite(scan.ranges)
-            r, angle = scan.ranges[back], heading + scan.bearings[back]
-            found.append(np.stack([x + r * np.cos(angle), y + r * np.sin(angle)], axis=1))
-    return np.concatenate(found)
 
 
 def draw_map(title: str, truth: Layer, layers: list[Layer], scanned: Floats = NO_TRUTH.path) -> str:

@@ -65,7 +65,8 @@ class Watch:
         self._odometry = step.odometry
         events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
         events += self._sight(step.frame)
-        if step.match is not None and self._begins("", "matching", not step.match.used, step.index) and step.index > 1:
+        # a first scan has nothing to be matched with, and says nothing of the next ones
+        if step.match is not None and step.index > 1 and self._begins("", "matching", not step.match.used, step.index):
             events.append(Event("INFO", f"Scan matching is not used: {step.match.reason}", kind="not matched"))
         for key, update in step.filters.items():
             told = self._of_filter(key, update, step)

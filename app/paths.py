@@ -32,10 +32,10 @@ class Paths:
         """After every observing step."""
         self.last = step
         self._alone[ODOMETRY].append(step.odometry)
-        if step.matched is None or step.match is None:
+        if step.matched is None:
             return
         before = self._alone[MATCHED][-1] if self._alone[MATCHED] else np.asarray(self._source.start, float)
-        self._between.append(compose(before, step.match.passed))
+        self._between.append(compose(before, step.match.passed if step.match else np.zeros((0, 3))))
         self._alone[MATCHED].append(step.matched)
 
     def end(self) -> None:

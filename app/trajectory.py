@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 
 from app.colours import TRUTH, of_filter
-from app.drawing import Layer, draw_map, map_layer, scan_points, truth_layer
+from app.drawing import Layer, draw_map, map_layer, truth_layer
 from app.files import write_whole
 from app.paths import Paths
+from app.scans import all_returns
 from app.types import SessionInfo, SessionStep, best_descendant, best_path
 from slam.features import Wall
 from slam.features.wall import ends
@@ -88,7 +89,7 @@ class Trajectory:
         source = self._info.source
         if source.scans is None:
             return np.zeros((0, 2))
-        return scan_points([step.frame.scan for step in source.steps[: len(path)]], path)
+        return all_returns(source, path)
 
     def _picture(self, layers: list[Layer], truth: Floats, scanned: Floats) -> str:
         source = self._info.source

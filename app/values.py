@@ -62,26 +62,25 @@ def reals(option: str, metavar: str, limits: Interval) -> Any:
 
 def pair(option: str, metavar: str, limits: Interval) -> Any:
     """Two numbers within limits, with a comma between them."""
-
-    def read(text: str) -> tuple[float, float]:
-        found = text.split(",")
-        if len(found) != 2:
-            raise UsageError(f"{option} is {text!r}; expected two numbers, {metavar}")
-        return _number(option, found[0], float, limits), _number(option, found[1], float, limits)
-
-    return _spec(metavar, read)
+    return _spec(metavar, lambda text: _two(option, text, ",", f"two numbers, {metavar}", float, limits))
 
 
 def spans(option: str, metavar: str, limits: Interval) -> Any:
     """One or more pairs of whole numbers, with a colon between the two."""
+    expected = "two whole numbers with a colon between them"
 
-    def read(text: str) -> tuple[int, int]:
-        found = text.split(":")
-        if len(found) != 2:
-            raise UsageError(f"{option} is {text!r}; expected two whole numbers with a colon between them")
-        return _number(option, found[0], int, limits), _number(option, found[1], int, limits)
+    def read(texts: Sequence[str]) -> tuple[Any, ...]:
+        return tuple(_two(option, text, ":", expected, int, limits) for text in _some(option, texts))
 
-    return _spec(metavar, lambda texts: tuple(read(text) for text in _some(option, texts)), many=True)
+    return _spec(metavar, read, many=True)
+
+
+def _two(option: str, text: str, sign: str, expected: str, kind: type[int] | type[float], limits: Interval) -> Any:
+    """Two numbers with a sign between them."""
+    found = text.split(sign)
+    if len(found) != 2:
+        raise UsageError(f"{option} is {text!r}; expected {expected}")
+    return _number(option, found[0], kind, limits), _number(option, found[1], kind, limits)
 
 
 def choice(option: str, names: Sequence[str]) -> Any:

@@ -16,7 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
 from slam.geometry import wrap
 from slam.types import Floats, Noise
@@ -97,6 +97,17 @@ class Ackermann(NamedTuple):
         return np.broadcast_to(np.array([noise.speed, noise.turn]), u.shape)
 
 
+@register_jitable
+def _after(s: Any, u: Any) -> Any:
+    """s (+) u for an increment u (3,), and its Jacobians by both."""
+    c, q = math.cos(s[2]), math.sin(s[2])
+    dx, dy = c * u[0] - q * u[1], q * u[0] + c * u[1]
+    s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + u[2]))
+    J_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
+    J_u = ((c, -q, 0.0), (q, c, 0.0), (0.0, 0.0, 1.0))
+    return s_new, J_s, J_u
+
+
 class Odometry(NamedTuple):
     """Controls are increments (dx, dy, dphi) [m, m, rad] in the robot's frame, as wheel odometry integrates them.
 
@@ -120,12 +131,7 @@ class Odometry(NamedTuple):
     @staticmethod
     def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
         """h(s, u) = s (+) u; dt does not matter."""
-        c, q = math.cos(s[2]), math.sin(s[2])
-        dx, dy = c * u[0] - q * u[1], q * u[0] + c * u[1]
-        s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + u[2]))
-        H_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
-        H_u = ((c, -q, 0.0), (q, c, 0.0), (0.0, 0.0, 1.0))
-        return s_new, H_s, H_u
+        return _after(s, u)
 
     @staticmethod
     def deviation(motion: Odometry, u: Floats, noise: Noise) -> Floats:
@@ -161,15 +167,11 @@ class Matched(NamedTuple):
     @staticmethod
     def propagate(motion: Any, s: Any, u: Any, dt: Any) -> Any:
         """h(s, w) = s (+) L w; dt does not matter."""
-        x, y = u[0], motion.l_10 * u[0] + u[1]
-        phi = motion.l_20 * u[0] + motion.l_21 * u[1] + u[2]
-        c, q = math.cos(s[2]), math.sin(s[2])
-        dx, dy = c * x - q * y, q * x + c * y
-        s_new = (s[0] + dx, s[1] + dy, wrap(s[2] + phi))
-        H_s = ((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0))
-        H_u = (
-            (c - q * motion.l_10, -q, 0.0),
-            (q + c * motion.l_10, c, 0.0),
+        turn = motion.l_20 * u[0] + motion.l_21 * u[1] + u[2]
+        s_new, H_s, J = _after(s, (u[0], motion.l_10 * u[0] + u[1], turn))
+        H_u = (  # J L
+            (J[0][0] + J[0][1] * motion.l_10, J[0][1], 0.0),
+            (J[1][0] + J[1][1] * motion.l_10, J[1][1], 0.0),
             (motion.l_20, motion.l_21, 1.0),
         )
         return s_new, H_s, H_u

@@ -18,8 +18,9 @@ from app.panel import shapes
 from app.panel.nodes import Ellipses, Node, Strokes
 from app.panel.picking import Pick, Where, ancestry
 from app.panel.trails import OdometryTrail
-from app.recording.ground import Extent, known, observer, returns, seen
+from app.recording.ground import Extent, known, observer, seen
 from app.recording.limits import sample, thinned, thinned_tree
+from app.scans import returns
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
 from slam.features import Wall
 from slam.features.wall import ends

@@ -8,9 +8,8 @@ import numpy as np
 
 from app.types import SessionStep
 from scenarios.types import Source
-from slam.geometry import compose
 from slam.motion import propagate
-from slam.types import Floats, Frame, Scan
+from slam.types import Floats, Frame
 
 FIELD = 1.04
 """Height of what a view shows, over the distance of the eye: a viewer's field of view is 55 degrees."""
@@ -110,21 +109,9 @@ def seen(frame: Frame, s: Floats) -> Floats:
     return np.array(ends, float).reshape(-1, 2)
 
 
-def returns(scan: Scan, s: Floats) -> Floats:
-    """(m, 2) [m] where the beams ended that came back, seen from the pose s (3,) of the robot."""
-    r, theta = scan.ranges, scan.bearings
-    back = (r > 0.0) & (r < scan.max_range) & np.isfinite(r) & np.isfinite(theta)  # never true of NaN
-    laser = compose(s, scan.origin)
-    direction = laser[2] + theta[back]
-    return laser[:2] + r[back, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
-
-
-def surroundings(source: Source, poses: Floats, cell: float) -> Floats:
-    """(n, 2) [m] where all scans of a log ended, the first T of which were taken at poses (T, 3); one for each cell."""
-    seen = [frame.scan for frame, _ in source.steps[: len(poses)]]
-    ends = [returns(scan, pose) for scan, pose in zip(seen, poses, strict=True) if scan is not None]
-    cells = np.unique(np.floor(np.concatenate([np.zeros((0, 2)), *ends]) / cell), axis=0)
-    return (cells + 0.5) * cell
+def squares(points: Floats, side: float) -> Floats:
+    """(n, 2) [m] the middles of the squares, with sides of so many metres, in which some of the points (N, 2) lie."""
+    return (np.unique(np.floor(points / side), axis=0) + 0.5) * side
 
 
 def known(pose: Floats | None) -> bool:

@@ -15,9 +15,9 @@ import rerun as rr
 
 from app import colours, shades
 from app.recording import arrow, scene
-from app.recording.ground import returns
 from app.recording.limits import Limits, sample
 from app.recording.scene import Style
+from app.scans import returns
 from slam.features.wall import ends
 from slam.geometry import compose, ellipse_axes
 from slam.map_store import Maps

@@ -16,10 +16,11 @@ from app import colours
 from app.events import Watch
 from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
-from app.recording.ground import Extent, Survey, extent_of, known, observer, surroundings
+from app.recording.ground import Extent, Survey, extent_of, known, observer, squares
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
+from app.scans import all_returns
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
@@ -108,7 +109,7 @@ class Writer:
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
         way_known = any(step.truth is not None for step in info.source.steps[: info.steps])
-        self._survey = None if way_known or info.source.kind == "world" else Survey(extent)
+        self._survey = None if way_known else Survey(extent)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
@@ -378,7 +379,7 @@ class Writer:
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
         if picture and self._info.source.scans is not None and key == self._shown.filters[0].key:
             way = update.genealogy.path(best_descendant(update))[1:]
-            cells = surroundings(self._info.source, way, self._size / CELLS)
+            cells = squares(all_returns(self._info.source, way), self._size / CELLS)
             log("world/scans", scene.points(cells, scene.SCAN * self._lift))
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))

@@ -16,12 +16,13 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from app import session, values
 from app.colours import of_filter
-from app.drawing import NO_TRUTH, draw_map, map_layer, scan_points
+from app.drawing import NO_TRUTH, draw_map, map_layer
 from app.errors import UsageError
 from app.files import check_directory, write_whole
 from app.options import FILTERS, BelievedNoise, FilterOptions, LogOptions, WorldNoise, default, parameters
 from app.paths import MATCHED, ODOMETRY, Paths
 from app.relations import PathErrors, relations_of
+from app.scans import all_returns
 from app.sources import LogParts, load
 from app.study.jobs import run_all
 from app.study.output import MEDIANS, TITLES, JobsOption, OutOption, SeedOption, begin, empty_table, finish, unseen
@@ -325,11 +326,11 @@ def _draw(directory: Path, source: Source, task: Task, paths: Paths) -> None:
     update = paths.last.filters[task.filter]
     path = best_path(update)
     theta, Sigma, _ = update.trace.resampled.maps.features(best_descendant(update))
-    title = f"{TITLES[task.filter]}, {_particles(task.particles)}"
-    layer = map_layer(title, of_filter(task.filter), path, source.feature, theta, Sigma)
-    scans = scan_points([step.frame.scan for step in source.steps], path)
+    name = f"{TITLES[task.filter]}, {_particles(task.particles)}"
+    layer = map_layer(name, of_filter(task.filter), path, source.feature, theta, Sigma)
+    title = f"{source.name}, {_part(source)}, seed {task.seed}"
     directory.mkdir(parents=True, exist_ok=True)
-    picture = draw_map(f"{source.name}, {_part(source)}, seed {task.seed}", NO_TRUTH, [layer], scans)
+    picture = draw_map(title, NO_TRUTH, [layer], all_returns(source, path))
     write_whole(directory / f"{source.name}-{task.filter}-{task.particles}.svg", picture)
 
 

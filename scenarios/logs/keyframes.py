@@ -35,9 +35,9 @@ def keyframes(source: Source, distance: float, turn: float) -> Source:
     """The steps until which the robot, by its odometry, has gone `distance` [m] or turned `turn` [rad] since the last.
 
     The first and the last step are kept.  What lies between two that are is an increment, or several with scans
-    `PASSING` from each other between them.  A robot at rest makes no
-    keyframe however long it rests: its scans say nothing new.  Raises `SourceError` for a source without odometry in
-    increments, and for distances and turns below zero.
+    `PASSING` from each other between them.  A robot at rest makes no keyframe however long it rests: its scans say
+    nothing new.  Raises `SourceError` for a source without odometry in increments, and for distances and turns below
+    zero.
     """
     check_number("keyframe distance", distance, "m", least=0)
     check_number("keyframe turn", turn, "rad", least=0)

@@ -322,8 +322,8 @@ def _submap(track: Track, centre: Floats, radius: float, settings: Matcher) -> t
 def _align(
     pairing: _Pairing, predicted: Floats, starts: Sequence[Floats], prior: Floats, settings: Matcher
 ) -> tuple[_Fit, Floats, Floats]:
-    """The best fit, its pose (3,) and its information (3, 3), begun at the first of the starts (3,), and where that leads
-    to nothing good at the others.
+    """The best fit, its pose (3,) and its information (3, 3), begun at the first of the starts (3,); where that leads
+    to nothing good, at the others.
 
     The information is that of the scan alone, for a deviation of one metre.
     """

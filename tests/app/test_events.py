@@ -151,6 +151,27 @@ def test_where_one_looks_but_rarely_it_is_not_told():
     assert sights([10.0 * i for i in range(1, 41)], [0] * 40)[0][0] == 50.0
 
 
+def unmatched(used: dict[int, str], count: int = 40) -> list[tuple[int, str, str, str, str]]:
+    """Step and event, of a session without filters whose scans are matched but in those steps, for these reasons."""
+    watch, told = Watch({}), []
+    for index in range(1, count + 1):
+        frame = SimpleNamespace(time=0.5 * index, dt=np.array([0.5]), z=np.zeros((3, 2)))
+        match = SimpleNamespace(used=index not in used, reason=used.get(index, ""))
+        step = SimpleNamespace(index=index, frame=frame, changes=(), filters={}, odometry=np.zeros(3), match=match)
+        told += [(index, *event) for event in watch.step(step)]  # type: ignore[arg-type]
+    return told
+
+
+def test_it_is_told_once_that_matching_is_not_used_and_why():
+    assert unmatched({}) == []
+    assert unmatched({1: "first scan"}) == []  # of which nobody can expect anything else
+    reasons = {1: "first scan", 5: "too few points", 6: "does not fit", 16: "does not fit", 27: "too little overlap"}
+    assert unmatched(reasons) == [
+        (5, "INFO", "Scan matching is not used: too few points", "", "not matched"),
+        (27, "INFO", "Scan matching is not used: too little overlap", "", "not matched"),
+    ]
+
+
 def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():
     source = build("paper-line")
     params = source.params(particles=20, resampler="multinomial", resample_below=1.0)

@@ -44,7 +44,7 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     assert found["params"]["options"]["keyframe"] == [0.9, pytest.approx(30)]
 
     order = np.argsort(drive.stamps, kind="stable")
-    for name in (*KEYS, *(f"{key}-online" for key in KEYS), "odometry"):
+    for name in (*KEYS, *(f"{key}-online" for key in KEYS), "odometry", "matching"):
         stamps, _ = tum(tmp_path / f"{name}.tum")
         np.testing.assert_allclose(stamps, drive.stamps[order], atol=1e-6)
     stamps, _ = tum(tmp_path / "truth.tum")
@@ -55,7 +55,7 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     relations = found["relations"]
     assert relations["relations"] == 4
     assert relations["file"] == str(drive.relations)
-    for key in ("odometry", *KEYS):
+    for key in ("odometry", "matching", *KEYS):
         path = np.empty((STEPS, 3))
         path[order] = tum(tmp_path / f"{key}.tum")[1]
         errors = relations[key]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from app.recording.reading import Recording
+from app.recording.reading import Recording, open_reader
 from tests.app.browser import DRAWN_AFTER, browser, picture, watched
 from tests.app.sockets import family, listening
 
@@ -104,6 +104,8 @@ def test_it_starts_plays_listens_here_only_and_ends(tmp_path):
         script = json.loads((tmp_path / "a.json").read_text())
         assert script["branches"][0]["steps"] == steps
         assert Recording(tmp_path / "a.rrd").series("/plots/n_eff/dfs")[0].tolist() == list(range(1, steps + 1))
+        with pytest.raises(RuntimeError):
+            open_reader(tmp_path / "a.rrd").store()  # of which there would be an index in memory all the time
         assert "bit for bit" in replayed(tmp_path, "a.json")
         script["branches"][0]["digest"] = "0"
         (tmp_path / "other.json").write_text(json.dumps(script))

@@ -16,7 +16,7 @@ from app import session
 from app.errors import UsageError
 from app.events import Watch
 from app.live.engine import Begun, Engine, Forked, named_after
-from app.live.history import MOST_BRANCHES, History
+from app.live.history import MOST_BRANCHES, History, Snapshot, Snapshots
 from app.live.script import Check, replay_of, script_of
 from app.live.settings import MOST, Desk, Settings, changed, described, first_settings
 from app.live.trend import Trend
@@ -469,6 +469,25 @@ def test_snapshots_are_bounded_and_the_past_is_exact_all_the_same(source):
         np.testing.assert_array_equal(
             again.step.filters["dfs"].trace.weighted.s, seen[index - 1].filters["dfs"].trace.weighted.s
         )
+
+
+def test_snapshots_are_fewer_the_longer_the_ancestry_that_they_hold(monkeypatch):
+    """A megabyte for all of them, and particles that hardly take any."""
+    monkeypatch.setattr("app.live.history.SNAPSHOT_BYTES", 1e6)
+
+    def kept(*sizes):
+        """How many of 400, whose ancestries are so large [bytes], one for each filter."""
+        particles = SimpleNamespace(s=np.zeros((1, 3)), maps=SimpleNamespace(counts=np.zeros(1)))
+        filters = {f"{i}": (particles, SimpleNamespace(nbytes=size)) for i, size in enumerate(sizes)}
+        snapshots = Snapshots()
+        for index in range(400):
+            snapshots.keep(Snapshot(SimpleNamespace(done=index, filters=filters), Watch({})))
+        return len(snapshots)
+
+    assert kept(0) > 48
+    assert 20 < kept(24_600) <= 40  # of 25 000 bytes, with those of the particle
+    assert kept(12_100, 12_100) == kept(24_600)
+    assert 4 <= kept(10**9) <= 8
 
 
 def test_a_listener_that_fails_is_told_no_more(live):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ from rerun.chunk import RrdReader
 from app import colours, session
 from app.colours import MATCHED, NEW, REJECTED, of_filter
 from app.recording import Recorder, arrow, texts, walls
-from app.recording.ground import extent_of, returns
+from app.recording.ground import extent_of
 from app.recording.limits import limits_for
 from app.recording.reading import Recording
 from app.recording.scene import Style
+from app.scans import returns
 from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from scenarios.types import TrueMap
@@ -40,17 +42,22 @@ def info() -> SessionInfo:
     return session.make_info(source, filters, params, seed=1, count=STEPS)
 
 
-@pytest.fixture(scope="module")
-def recorded(info, tmp_path_factory) -> tuple[Recording, list[SessionStep]]:
+def recorded_strictly(info: SessionInfo, path: Path) -> tuple[Recording, list[SessionStep]]:
+    """What was recorded of a session, bad data being an error, and its steps."""
     import rerun as rr
 
-    path, watch = tmp_path_factory.mktemp("walls") / "run.rrd", Watch()
+    watch = Watch()
     rr.set_strict_mode(True)
     try:
         session.run(info, [Recorder(path), watch])
     finally:
         rr.set_strict_mode(False)
     return Recording(path), watch.steps
+
+
+@pytest.fixture(scope="module")
+def recorded(info, tmp_path_factory) -> tuple[Recording, list[SessionStep]]:
+    return recorded_strictly(info, tmp_path_factory.mktemp("walls") / "run.rrd")
 
 
 def strips(recording: Recording, entity: str, timeline: str = "step") -> dict[int, Floats]:

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 from app import cli, session
-from app.drawing import NO_TRUTH, Layer, draw_map, scan_points
+from app.drawing import NO_TRUTH, Layer, draw_map
+from app.scans import all_returns
 from app.study.laser_log import worse
 from app.study.path_fit import Fit
 from app.types import SessionInfo, SessionStep
@@ -267,7 +269,9 @@ def cells_of(root: ElementTree.Element) -> set[tuple[int, int]]:
 def test_scans_are_seen_from_where_they_were_taken() -> None:
     scan = Scan(np.array([2.0, math.inf, 3.0]), np.radians([-90.0, 0.0, 90.0]), np.array([0.5, 0.0, 0.0]), 8.0)
     poses = np.array([[10.0, 20.0, math.pi / 2], [0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(scan_points([scan, None], poses), [[12.0, 20.5], [7.0, 20.5]], atol=1e-12)
+    source: Any = SimpleNamespace(steps=[SimpleNamespace(frame=SimpleNamespace(scan=s)) for s in (scan, None, scan)])
+    np.testing.assert_allclose(all_returns(source, poses), [[12.0, 20.5], [7.0, 20.5]], atol=1e-12)
+    assert all_returns(source, poses[:0]).shape == (0, 2)
 
 
 def test_scan_points_are_the_pixels_they_fall_into() -> None:

@@ -213,6 +213,21 @@ def test_memory_is_that_of_the_surviving_paths():
     assert largest < 0.1 * T * K
 
 
+def test_how_much_memory_a_value_says_that_it_takes():
+    """Of each pose behind it three numbers, its ancestor, its step and its founder; with the room for those to come."""
+    K, ROW = 50, 3 * 8 + 3 * 4
+    g = Genealogy.start(np.zeros((K, 3)))
+    for _ in range(100):
+        before = g.nbytes
+        g = g.grow(np.arange(K), np.zeros((K, 3)))
+        assert ROW * g.nodes <= g.nbytes <= ROW * (2 * g.nodes + (ROOM + 1) * K)
+        assert g.nbytes >= before
+    whole, g = g.nbytes, g.grow(np.zeros(K, int), np.zeros((K, 3)))
+    for _ in range(200):  # nobody lives but one founder, and most of what was is gone
+        g = g.grow(np.zeros(K, int), np.zeros((K, 3)))
+    assert g.nbytes < whole
+
+
 def test_steps_without_resampling_share_their_history():
     s = np.zeros((50, 3))
     tree = Genealogy.start(s)

@@ -9,6 +9,7 @@ from scenarios.noise import add_noise
 from scenarios.registry import build
 from slam.geometry import compose, invert, wrap_all
 from slam.motion import Matched, Odometry, deviation, propagate
+from slam.perception.matching import Match, Matcher, Track
 from slam.perception.odometry import NOWHERE, Increment, correct_odometry, increment, then
 from slam.types import Floats, Frame, Noise, Params
 
@@ -124,8 +125,102 @@ def test_scans_on_the_way_are_matched_one_after_the_other(frames: tuple[list[Fra
         max(first.residual, second.residual),
     )
     assert frame.dt.sum() == pytest.approx(both.dt.sum())
-    _, lumped, _ = correct_odometry(track, both._replace(between=()), params)  # which scan is whose is not known
-    assert lumped.u.shape == (1, 3)
+    alone = []  # where it is not known which scan is whose, there is one way, for the last of them
+    for between in ((), (a.scan, a.scan)):
+        _, lumped, match = correct_odometry(track, both._replace(between=between), params)
+        assert lumped.u.shape == (1, 3)
+        assert match is not None
+        alone.append(match.u.tolist())
+    assert alone[0] == alone[1] != found.u.tolist()
+
+
+def test_a_way_of_which_a_part_is_matched(frames: tuple[list[Frame], Floats]) -> None:
+    """The rest of it is odometry's; it does not count as matched, but is better than odometry all the same."""
+    noisy, _ = frames
+    params = Params(matching="on", believed=Noise(range=0.01))
+    track, *_ = correct_odometry(None, noisy[0], params)
+    a, b = noisy[1], noisy[2]
+    assert a.scan is not None
+    assert b.scan is not None
+    blind = a.scan._replace(ranges=np.full_like(a.scan.ranges, np.inf))
+    u, dt = np.concatenate([a.u, b.u]), np.concatenate([a.dt, b.dt])
+    for between, last, seen in ((a.scan, blind, 0), (blind, b.scan, 1)):
+        both = b._replace(u=u, dt=dt, between=(between,), scan=last)
+        after, frame, found = correct_odometry(track, both, params)
+        assert found is not None
+        assert (found.used, found.reason, found.overlap) == (False, "too few points", 0.0)
+        assert isinstance(frame.motion, Matched)
+        assert frame.dt.tolist() == [pytest.approx(both.dt.sum())]
+        assert after is not None
+        odometry = [increment(both, params, k, k + 1) for k in range(2)]
+        if seen == 0:  # the first half as that scan alone has it, and then what odometry says
+            _, _, alone = correct_odometry(track, a, params)
+            assert alone is not None
+            assert alone.used
+            expected = then(Increment(alone.u, alone.covariance), odometry[1])
+            np.testing.assert_allclose(found.u, expected.u, atol=1e-12)
+            np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
+        assert np.trace(found.covariance) < np.trace(then(*odometry).covariance)
+        np.testing.assert_allclose(propagate(frame.motion, (0.0, 0.0, 0.0), frame.u[0], 0.0)[0], found.u, atol=1e-12)
+
+
+def test_the_ticks_of_a_frame_amount_to_its_motion(frames: tuple[list[Frame], Floats]) -> None:
+    """As a whole, or as some of them and then the others; no tick is no motion."""
+    noisy, params = frames[0], Params(believed=Noise(odometry=0.2))
+    many = noisy[0]._replace(
+        u=np.concatenate([f.u for f in noisy[20:32]]), dt=np.concatenate([f.dt for f in noisy[20:32]])
+    )
+    whole, parts = increment(many, params), then(increment(many, params, 0, 5), increment(many, params, 5))
+    s = np.zeros(3)
+    for u in many.u:
+        s = compose(s, u)
+    np.testing.assert_allclose(whole.u, s, atol=1e-12)
+    np.testing.assert_allclose(parts.u, whole.u, atol=1e-12)
+    np.testing.assert_allclose(parts.covariance, whole.covariance, atol=1e-12)
+    assert np.linalg.eigvalsh(whole.covariance).min() > 0.0
+    none = increment(many, params, 3, 3)
+    np.testing.assert_array_equal(none.u, 0.0)
+    np.testing.assert_array_equal(none.covariance, 0.0)
+
+
+def test_a_frame_without_ticks_may_have_a_scan(frames: tuple[list[Frame], Floats]) -> None:
+    """As the first of a log: the robot has not moved, and the scan fits where it was."""
+    noisy, params = frames[0], Params(matching="on")
+    still = noisy[0]._replace(u=np.zeros((0, 3)), dt=np.zeros(0))
+    track, frame, first = correct_odometry(None, still, params)
+    assert first is not None
+    assert frame is still
+    assert (first.used, first.u.tolist()) == (False, [0.0, 0.0, 0.0])
+    _, frame, again = correct_odometry(track, still, params)
+    assert again is not None
+    assert again.used
+    assert (frame.u.shape, frame.dt.tolist()) == ((1, 3), [0.0])
+    np.testing.assert_allclose(again.u, 0.0, atol=1e-3)
+    np.testing.assert_allclose(again.covariance, 0.0, atol=1e-7)  # the odometry of a robot at rest is exact
+
+
+@pytest.mark.parametrize("how", ["off", "auto"])
+def test_what_was_tracked_is_forgotten_where_nothing_is_matched(frames: tuple[list[Frame], Floats], how: str) -> None:
+    noisy, _ = frames
+    track, *_ = correct_odometry(None, noisy[0], Params(matching="on"))
+    assert track is not None
+    frame = noisy[1] if how == "off" else noisy[1]._replace(scan=None)
+    assert correct_odometry(track, frame, Params(matching=how)) == (None, frame, None)
+
+
+def test_whoever_switches_matching_on_has_it_whatever_odometry_says(
+    frames: tuple[list[Frame], Floats], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def told(track: Track, scan: object, u: Floats, Q: Floats, settings: Matcher) -> tuple[Track, Match]:
+        asked.append(settings)
+        return track, Match(u, Q, 1.0, 0.0, True, "")
+
+    monkeypatch.setattr("slam.perception.odometry.match_scan", told)
+    for how in ("auto", "on"):
+        correct_odometry(None, frames[0][0], Params(matching=how), Matcher(clean=0.5))
+    assert asked == [Matcher(clean=0.5), Matcher(clean=0.5, surprise=np.inf)]
 
 
 def test_errors_of_one_motion_after_another() -> None:

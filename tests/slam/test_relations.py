@@ -65,3 +65,26 @@ def test_without_any_relation_nothing_is_known() -> None:
     found = relation_errors(STAMPS, PATH, np.array([[1.0, 2.0]]), np.zeros((1, 3)))
     assert found == (0, 1, None, None)
     assert relation_errors(STAMPS, PATH, np.zeros((0, 2)), np.zeros((0, 3))) == (0, 0, None, None)
+
+
+def test_a_time_is_that_of_the_nearest_scan() -> None:
+    """Real logs have scans 0.6 ms apart; what is farther than a tenth of one is none."""
+    stamps = np.array([10.0, 10.0006, 10.0012, 11.0])
+    path = np.column_stack([np.arange(4.0), np.zeros(4), np.zeros(4)])
+    for i in range(4):
+        for off in (-0.00009, 0.0, 0.00009):
+            times = np.array([[stamps[i] + off, 11.0]])
+            found = relation_errors(stamps, path, times, np.array([[3.0 - i, 0.0, 0.0]]))
+            assert found.translation_m is not None
+            assert found.translation_m.max < 1e-12
+    nowhere = np.array([[9.9998, 11.0], [10.0003, 11.0], [10.0014, 11.0], [11.0, 11.0002]])
+    assert belongs(nowhere, stamps).tolist() == [False] * 4
+    assert relation_errors(stamps, path, nowhere, np.zeros((4, 3))).left_out == 4
+
+
+def test_a_path_of_one_pose() -> None:
+    times = np.array([[5.0, 5.0], [5.0, 6.0], [4.0, 5.0]])
+    found = relation_errors(np.array([5.0]), np.array([[1.0, 2.0, 3.0]]), times, np.tile([0.3, 0.4, -0.1], (3, 1)))
+    assert (found.used, found.left_out) == (1, 2)
+    assert found.translation_m == pytest.approx((0.5, 0.0, 0.5, 0.5, 0.5))
+    assert found.rotation_rad == pytest.approx((0.1, 0.0, 0.1, 0.1, 0.1))
