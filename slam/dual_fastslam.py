@@ -36,17 +36,19 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
     miss = miss_density(params, n)
     matched = matched_features(predicted.maps, n)  # known features: the map is static (29, 30)
-    updated, log_p = update_pose(predicted, frame, matched, R_known, miss)  # (28, 36): no draw
+    updated, weighed = update_pose(predicted, frame, matched, R_known, miss)  # (28, 36): no draw
     if params.weighting == "marginal":
-        log_p = weigh_marginal(predicted, frame, matched, R_known, miss)  # (43), at the predicted pose
-    log_p = params.temper * log_p
+        weighed = weigh_marginal(predicted, frame, matched, R_known, miss)  # (43), at the predicted pose
+    log_p = params.temper * weighed.log_p
     weighted, events = reweigh(updated, log_p)
     mapped = extend_features(weighted, frame, n)  # 4.1
     mapped = draw_features(rng, mapped, frame, n, R)  # (34, 37)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)
-    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events)
+    return resampled, Trace(
+        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events
+    )
 
 
 DUAL_FASTSLAM = Estimator(

@@ -17,8 +17,8 @@ from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibili
 from slam.association.nearest import nearest_first, slot_for
 from slam.features import Wall, compatible, draw, innovation, inverse, total
 from slam.geometry import wrap
-from slam.linalg import distance2, dot2, inverse22, load22, load33, log_density
-from slam.phases import extend_features, initial, noise_of_known, observation_noise, predict
+from slam.linalg import distance2, dot2, inverse22, load22, load33, log_density, store22
+from slam.phases import Weighed, extend_features, initial, noise_of_known, observation_noise, predict, unweighed
 from slam.types import IGNORED, NEW, Estimator, Floats, Frame, Ints, ObservationNoise, Params, Particles, Trace
 
 POSE = slice(0, 3)
@@ -48,14 +48,14 @@ def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params
     predicted = state.particles
     n = associate_joint(state, frame, R_known, params)
     n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
-    state, log_p = update_joint(state, frame, n, R_known)
+    state, weighed = update_joint(state, frame, n, R_known)
     state = state._replace(particles=extend_features(state.particles, frame, n))  # 4.1
     state = augment(state, frame, n, R)
     if params.orthogonal and type(frame.feature) is Wall:
         state = constrain_angles(state, frame.feature, int((n[0] == NEW).sum()))
 
-    weighted, one = state.particles, np.zeros(1, np.int64)
-    return state, Trace(predicted, weighted, weighted, n, params.temper * log_p, 1.0, False, one, one)
+    weighted, one, log_p = state.particles, np.zeros(1, np.int64), params.temper * weighed.log_p
+    return state, Trace(predicted, weighted, weighted, n, log_p, weighed.innovations, 1.0, False, one, one)
 
 
 def predict_joint(state: EkfState, frame: Frame, params: Params) -> EkfState:
@@ -223,25 +223,30 @@ def _choose_jointly(obs: Any, feat: Any, v: Any, C: Any, gates: Any, work: Any, 
     joint_compatibility(obs, feat, v, C, gates, MAX_NODES, work, n)
 
 
-def update_joint(state: EkfState, frame: Frame, n: Ints, R: ObservationNoise) -> tuple[EkfState, Floats]:
+def update_joint(state: EkfState, frame: Frame, n: Ints, R: ObservationNoise) -> tuple[EkfState, Weighed]:
     """EKF update by every matched observation in turn, linearised at the running mean; also log N(v; 0, V) (1, Z)."""
-    log_p = np.zeros(n.shape)
+    weighed = unweighed(n)
     if not (n >= 0).any():
-        return state, log_p
+        return state, weighed
     particles = state.particles
     s, covariance = particles.s[0].copy(), state.covariance.copy()
     theta = particles.maps.features(0)[0]
     W, K = np.empty((len(covariance), 2)), np.empty((len(covariance), 2))
-    _update_joint(frame.feature, s, theta, covariance, n[0], frame.z, R, log_p[0], W, K)
+    log_p, (seen_v, seen_V) = weighed
+    _update_joint(frame.feature, s, theta, covariance, n[0], frame.z, R, log_p[0], seen_v[0], seen_V[0], W, K)
     maps = particles.maps.replace(np.arange(len(theta))[None], theta[None], _feature_blocks(covariance)[None])
-    return _with(particles._replace(s=s[None], maps=maps), covariance), log_p
+    return _with(particles._replace(s=s[None], maps=maps), covariance), weighed
 
 
 @kernel
 def _update_joint(
-    feature: Any, s: Any, theta: Any, covariance: Any, n: Any, z: Any, R: Any, log_p: Any, W: Any, K: Any
-) -> None:
-    """Overwrites s, theta, covariance and log_p, which are the caller's own copies; W, K (3 + 2n, 2) are work space."""
+    feature: Any, s: Any, theta: Any, covariance: Any, n: Any, z: Any, R: Any,
+    log_p: Any, seen_v: Any, seen_V: Any, W: Any, K: Any,
+) -> None:  # fmt: skip
+    """Overwrites s, theta and covariance, which are the caller's own copies; W, K (3 + 2n, 2) are work space.
+
+    Into log_p (Z,), seen_v (Z, 2) and seen_V (Z, 2, 2), where an observation is matched.
+    """
     size, model = len(covariance), load22(R.model)
     for i in range(len(z)):
         if n[i] < 0:
@@ -263,6 +268,8 @@ def _update_joint(
             V11 += G_theta[1][c] * W[f + c, 1]
         V = ((V00, V01), (V01, V11))
         log_p[i] = log_density(v, V)
+        seen_v[i, 0], seen_v[i, 1] = v[0], v[1]
+        store22(seen_V[i], V)
         if not log_p[i] > -np.inf:
             continue  # what is impossible corrects nothing
         Vi = inverse22(V)

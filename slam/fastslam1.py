@@ -35,15 +35,17 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
     miss = miss_density(params, n)
     matched = matched_features(predicted.maps, n)
-    updated, log_p = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
-    log_p = params.temper * log_p
+    updated, weighed = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
+    log_p = params.temper * weighed.log_p
     weighted, events = reweigh(updated, log_p)
     mapped = extend_features(weighted, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)
-    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events)
+    return resampled, Trace(
+        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events
+    )
 
 
 FASTSLAM1 = Estimator(

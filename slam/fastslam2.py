@@ -36,11 +36,12 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     n = associate(predicted, frame, R_known, params)  # (23, 25-27), 4.2
     miss = miss_density(params, n)
     matched = matched_features(predicted.maps, n)
-    updated, log_p = update_pose(predicted, frame, matched, R_known, miss)  # the proposal; its weight (14)
+    updated, weighed = update_pose(predicted, frame, matched, R_known, miss)  # the proposal; its weight (14)
     drawn = draw_pose(rng, updated)  # (12)
-    mapped, log_p_drawn = update_features(drawn, frame, matched, R_known, UNWEIGHED)
+    mapped, of_drawn = update_features(drawn, frame, matched, R_known, UNWEIGHED)
+    log_p = weighed.log_p
     if params.proposal_weight == "drawn":
-        log_p = log_p + log_p_drawn - linearised_at(predicted, frame, matched, R_known, drawn)
+        log_p = log_p + of_drawn.log_p - linearised_at(predicted, frame, matched, R_known, drawn)
     log_p = params.temper * log_p
     mapped, events = reweigh(mapped, log_p)
     mapped = extend_features(mapped, frame, n)  # 4.1
@@ -48,7 +49,9 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = updated._replace(log_w=mapped.log_w, maps=mapped.maps)
-    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events)
+    return resampled, Trace(
+        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events
+    )
 
 
 FASTSLAM2 = Estimator(

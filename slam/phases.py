@@ -45,7 +45,7 @@ from slam.linalg import (
 from slam.map_store import Maps, MapStore
 from slam.motion import deviation, propagate
 from slam.resampling import effective_sample_size, normalise, resample, wants_resampling
-from slam.types import NEW, Floats, Frame, Ints, Noise, ObservationNoise, Params, Particles
+from slam.types import NEW, Floats, Frame, Innovations, Ints, Noise, ObservationNoise, Params, Particles
 
 ZERO = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -59,6 +59,19 @@ class Matched(NamedTuple):
     """(K, Z, D); not meaningful where nothing is matched."""
     Sigma: Floats
     """(K, Z, 2, 2); zero in Dual FastSLAM."""
+
+
+class Weighed(NamedTuple):
+    """What the observations of a frame say of each particle."""
+
+    log_p: Floats
+    """(K, Z) log N(v; 0, V), or what `Miss` says."""
+    innovations: Innovations
+
+
+def unweighed(n: Ints) -> Weighed:
+    """Arrays for the correspondences n (K, Z), to be written into."""
+    return Weighed(np.zeros(n.shape), Innovations(np.full((*n.shape, 2), np.nan), np.full((*n.shape, 2, 2), np.nan)))
 
 
 class Miss(NamedTuple):
@@ -164,19 +177,22 @@ def matched_features(maps: Maps, n: Ints) -> Matched:
     return Matched(n, *maps.take(n))
 
 
-def weigh_marginal(particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss) -> Floats:
-    """(43) to the letter: log N(v; 0, V) (K, Z), every v and V taken at the pose as it is.
+def weigh_marginal(particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss) -> Weighed:
+    """(43) to the letter: log N(v; 0, V), every v and V taken at the pose as it is.
 
     Exact for one observation; for several it ignores that their innovations share the pose error. An
     unmatched observation has the density that `miss` says.
     """
-    log_p = np.zeros(matched.n.shape)
-    _weigh(frame.feature, particles.s, particles.P, *matched, frame.z, R, miss, log_p)
-    return log_p
+    weighed = unweighed(matched.n)
+    _weigh(frame.feature, particles.s, particles.P, *matched, frame.z, R, miss, *weighed)
+    return weighed
 
 
 @kernel
-def _weigh(feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any, log_p: Any) -> None:
+def _weigh(
+    feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any,
+    log_p: Any, innovations: Any,
+) -> None:  # fmt: skip
     model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
@@ -186,10 +202,17 @@ def _weigh(feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any,
                 v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
                 V = add22(sandwich23(G_s, Pk), S)
                 log_p[k, i] = log_density(v, V)
+                _note(innovations, k, i, v, V)
             else:
                 log_p[k, i] = _miss_density(
                     feature, sk, Pk, z[i], Ri, model, miss.new if n[k, i] == NEW else miss.ignored
                 )
+
+
+@inline
+def _note(innovations: Any, k: Any, i: Any, v: Any, V: Any) -> None:
+    innovations.v[k, i, 0], innovations.v[k, i, 1] = v[0], v[1]
+    store22(innovations.V[k, i], V)
 
 
 @inline
@@ -207,22 +230,22 @@ def _miss_density(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, cons
 
 def update_pose(
     particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss
-) -> tuple[Particles, Floats]:
+) -> tuple[Particles, Weighed]:
     """(28, 36) EKF update of the pose by every matched observation in turn.
 
-    Also log N(v; 0, V) (K, Z) of each under the pose that the ones before left: by the chain rule their sum is the
+    Also log N(v; 0, V) of each under the pose that the ones before left: by the chain rule their sum is the
     exact (joint) log likelihood, that is FastSLAM 2.0's weight (14) in its integrated form, which does not depend on
     the draw.
     """
-    s, P, log_p = np.empty_like(particles.s), np.empty_like(particles.P), np.zeros(matched.n.shape)
-    _update_pose(frame.feature, particles.s, particles.P, *matched, frame.z, R, miss, s, P, log_p)
-    return particles._replace(s=s, P=P), log_p
+    s, P, weighed = np.empty_like(particles.s), np.empty_like(particles.P), unweighed(matched.n)
+    _update_pose(frame.feature, particles.s, particles.P, *matched, frame.z, R, miss, s, P, *weighed)
+    return particles._replace(s=s, P=P), weighed
 
 
 @kernel
 def _update_pose(
     feature: Any, s: Any, P: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any,
-    s_out: Any, P_out: Any, log_p: Any,
+    s_out: Any, P_out: Any, log_p: Any, innovations: Any,
 ) -> None:  # fmt: skip
     model = load22(R.model)
     for k in range(len(s)):
@@ -233,6 +256,7 @@ def _update_pose(
                 v, G_s, S = measurement(feature, theta[k, i], load22(Sigma[k, i]), sk, Pk, z[i], Ri, model)
                 V = add22(sandwich23(G_s, Pk), S)
                 log_p[k, i] = log_density(v, V)
+                _note(innovations, k, i, v, V)
                 if log_p[k, i] > -np.inf:  # what is impossible corrects nothing: its gain times infinity is no pose
                     sk, Pk = kalman_pose(sk, Pk, v, G_s, S, V)
             else:
@@ -295,27 +319,23 @@ def _draw_pose(s: Any, P: Any, normal: Any, s_out: Any) -> None:
 
 def update_features(
     particles: Particles, frame: Frame, matched: Matched, R: ObservationNoise, miss: Miss
-) -> tuple[Particles, Floats]:
+) -> tuple[Particles, Weighed]:
     """FastSLAM: an EKF for each matched feature, given the pose (P = 0).
 
-    Also log N(v; 0, V) (K, Z), V = G_theta Sigma G_theta^T + R: FastSLAM 1.0's weight, exact because features are
+    Also log N(v; 0, V), V = G_theta Sigma G_theta^T + R: FastSLAM 1.0's weight, exact because features are
     independent given the path.
     """
-    theta, Sigma, log_p = (
-        np.empty_like(matched.theta),
-        np.empty_like(matched.Sigma),
-        np.zeros(matched.n.shape),
-    )
-    _update_features(frame.feature, particles.s, *matched, frame.z, R, miss, theta, Sigma, log_p)
+    theta, Sigma, weighed = np.empty_like(matched.theta), np.empty_like(matched.Sigma), unweighed(matched.n)
+    _update_features(frame.feature, particles.s, *matched, frame.z, R, miss, theta, Sigma, *weighed)
     if (matched.n >= 0).any():
         particles = particles._replace(maps=particles.maps.replace(matched.n, theta, Sigma))
-    return particles, log_p
+    return particles, weighed
 
 
 @kernel
 def _update_features(
     feature: Any, s: Any, n: Any, theta: Any, Sigma: Any, z: Any, R: Any, miss: Any,
-    theta_out: Any, Sigma_out: Any, log_p: Any,
+    theta_out: Any, Sigma_out: Any, log_p: Any, innovations: Any,
 ) -> None:  # fmt: skip
     model = load22(R.model)
     for k in range(len(s)):
@@ -328,6 +348,7 @@ def _update_features(
                 Ri = total(feature, Ri, G_theta, model)
                 V = add22(sandwich22(G_theta, Sk), Ri)
                 log_p[k, i] = log_density(v, V)
+                _note(innovations, k, i, v, V)
                 delta, S_new = (0.0, 0.0), Sk
                 if log_p[k, i] > -np.inf:  # as in `_update_pose`
                     delta, S_new = kalman_feature(Sk, v, G_theta, Ri, V)

@@ -165,6 +165,19 @@ class Particles(NamedTuple):
     """One map for each particle, sharing what they have in common."""
 
 
+class Innovations(NamedTuple):
+    """What was seen of known features beside what was expected, as the weights saw it; NaN where nothing was matched.
+
+    Dual FastSLAM with `weighting` "marginal" and FastSLAM 1.0 take all of them at the predicted pose, the others each
+    at the pose that those before have corrected (EKF-SLAM: the map as well).
+    """
+
+    v: Floats
+    """(K, Z, 2) innovation (23)."""
+    V: Floats
+    """(K, Z, 2, 2) its covariance (24), pose, feature and sensor together."""
+
+
 class Trace(NamedTuple):
     """What an observer needs of one step and the next step does not."""
 
@@ -180,6 +193,8 @@ class Trace(NamedTuple):
     """(K, Z) correspondences: index of the feature in the particle's own map, NEW or IGNORED."""
     log_likelihood: Floats
     """(K, Z) what each observation added to the log weight (tempered); unmatched ones that of a miss (EKF-SLAM: 0)."""
+    innovations: Innovations
+    """(K, Z) of the observations that were matched."""
     n_eff: float
     """Effective sample size (44) of the new weights, before resampling."""
     did_resample: bool

@@ -20,6 +20,7 @@ from app.recording.reading import Recording
 from app.types import best_descendant
 from scenarios.registry import build, landmark_options
 from slam.estimators import ESTIMATORS
+from slam.phases import unweighed
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Particles, Trace
 
 
@@ -88,9 +89,8 @@ def trace_of(n: list[list[int]], before: list[int], after: list[int], resized: l
     def particles(counts: list[int]) -> Particles:
         return SimpleNamespace(maps=SimpleNamespace(counts=np.array(counts)))  # type: ignore[return-value]
 
-    nothing = np.empty(0)
-    indices = (np.array(which, np.int64) for which in (resized, selected))
-    return Trace(particles(before), particles(after), particles(after), np.array(n), nothing, 1.0, False, *indices)
+    found, indices = np.array(n), (np.array(which, np.int64) for which in (resized, selected))
+    return Trace(particles(before), particles(after), particles(after), found, *unweighed(found), 1.0, False, *indices)
 
 
 def test_gaps_are_those_of_a_particle_and_its_ancestors():

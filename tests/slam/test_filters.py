@@ -152,6 +152,23 @@ def test_maps_are_no_aliases_after_resampling(key: str) -> None:
         np.testing.assert_array_equal(copies.features(k)[0], before[k])
 
 
+@pytest.mark.parametrize("key", ALL)
+@pytest.mark.parametrize("choice", [{}, {"weighting": "joint"}, {"temper": 0.3}, {"association": "jcbb"}])
+def test_innovations_are_those_of_the_weights(key: str, choice: dict) -> None:
+    """What was matched is weighed by log N(v; 0, V) of the innovation that is told, and nothing is told of the rest."""
+    _, traces = run(key, parameters(**choice), plain.simulate(seed=6).frames[:8])
+    known = 0
+    for trace in traces:
+        v, V = trace.innovations
+        matched = trace.n >= 0
+        np.testing.assert_array_equal(np.isfinite(v).all(axis=-1), matched)
+        np.testing.assert_array_equal(np.isfinite(V).all(axis=(-2, -1)), matched)
+        densities = [plain.log_gauss(*pair) for pair in zip(v[matched], V[matched], strict=True)]
+        np.testing.assert_allclose(choice.get("temper", 1.0) * np.array(densities), trace.log_likelihood[matched])
+        known += int(matched.sum())
+    assert known > 50 if key != "ekf" else known > 5
+
+
 # Any number of particles, any resampling ------------------------------------------------------------------------------
 
 
@@ -352,10 +369,10 @@ def weigh_pair(particles: Particles, v: Floats, R: Floats, log_miss: Miss) -> tu
         matched = Matched(np.array([[n]]), np.array([[[4.0, 5.0]]]), np.zeros((1, 1, 2, 2)))
         marginal = weigh_marginal(particles, frame, matched, noise, log_miss)
         _, joint = update_pose(particles, frame, matched, noise, log_miss)
-        densities = [float(marginal[0, 0]), float(joint[0, 0])]
+        densities = [float(marginal.log_p[0, 0]), float(joint.log_p[0, 0])]
         if not particles.P.any():
             known = MapStore(Linear()).empty(1).append(np.ones((1, 1), bool), matched.theta, matched.Sigma, frame.tags)
             _, given_pose = update_features(particles._replace(maps=known), frame, matched, noise, log_miss)
-            densities.append(float(given_pose[0, 0]))
+            densities.append(float(given_pose.log_p[0, 0]))
         answers.append(densities)
     return answers[0], answers[1]

@@ -19,6 +19,7 @@ from slam.metrics import (
     rms,
 )
 from slam.motion import Odometry
+from slam.phases import unweighed
 from slam.types import NEW, UNKNOWN_TAG, Frame, Particles, Trace
 
 PI = math.pi
@@ -247,7 +248,9 @@ def one_step():
     weighted = Particles(s, P, log_w, np.array([5, 3]), after)  # type: ignore[arg-type]
     resampled = weighted._replace(log_w=np.log([0.5, 0.5]), lineage=np.array([3, 3]))
     n = np.array([[NEW, NEW, NEW, NEW], [1, 0, NEW, NEW]])
-    trace = Trace(predicted, weighted, resampled, n, np.zeros((2, 4)), 1.9, True, np.arange(2), np.array([1, 1]))
+    log_p, innovations = unweighed(n)
+    selected = np.array([1, 1])
+    trace = Trace(predicted, weighted, resampled, n, log_p, innovations, 1.9, True, np.arange(2), selected)
     frame = Frame(1.0, Odometry(), np.zeros((1, 3)), np.ones(1), Point(), np.zeros((4, 2)), np.array([10, 10, 20, 30]))
     return trace, frame
 

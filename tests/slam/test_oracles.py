@@ -27,7 +27,17 @@ from slam.estimators import ESTIMATORS
 from slam.features import Point
 from slam.geometry import wrap_all
 from slam.map_store import MapStore
-from slam.phases import UNWEIGHED, Matched, add_features, draw_features, predict, update_features, update_pose
+from slam.phases import (
+    UNWEIGHED,
+    Matched,
+    Weighed,
+    add_features,
+    draw_features,
+    predict,
+    unweighed,
+    update_features,
+    update_pose,
+)
 from slam.types import NEW, Floats, ObservationNoise, Params, Particles
 from tests.slam import linear, plain
 from tests.slam.linear import LANDMARKS, Linear, joint_kalman, limit_of_dual_fastslam, simulate_linear, uncached_kernels
@@ -100,9 +110,9 @@ def pose_from_before_the_draw() -> tuple[Callable, Callable]:
         held[:] = [particles._replace(s=particles.s + np.einsum("kij,kj->ki", np.linalg.cholesky(particles.P), normal))]
         return particles._replace(P=np.zeros_like(particles.P))
 
-    def update(particles: Particles, *arguments: Any) -> tuple[Particles, Floats]:
-        updated, log_p = update_features(particles, *arguments)
-        return updated._replace(s=held[0].s), log_p
+    def update(particles: Particles, *arguments: Any) -> tuple[Particles, Weighed]:
+        updated, weighed = update_features(particles, *arguments)
+        return updated._replace(s=held[0].s), weighed
 
     return draw_pose, update
 
@@ -122,7 +132,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Callable]]] = {
     "pose not drawn": ("fs2", {"draw_pose": lambda _, p: p._replace(P=np.zeros_like(p.P))}),
     "P kept after the draw": ("fs2", {"draw_pose": lambda _, p: p}),
     "features before the pose": ("fs2", {"draw_pose": early_draw, "update_features": early_update}),
-    "features not updated": ("fs2", {"update_features": lambda p, f, m, *_: (p, np.zeros(m.n.shape))}),
+    "features not updated": ("fs2", {"update_features": lambda p, f, m, *_: (p, unweighed(m.n))}),
     "no new features": ("fs2", {"add_features": lambda particles, *_: particles}),
     "motion not sampled": ("fs1", {"predict_by_sampling": lambda _, *a: predict(*a)}),
     "map not updated": ("fs1", {"update_features": lambda p, *a: (p, update_features(p, *a)[1])}),
@@ -291,7 +301,9 @@ def test_chained_densities_are_the_stacked_one(frozen: bool) -> None:
     matched = Matched(np.tile(np.arange(Z), (many, 1)), theta, factor @ factor.swapaxes(2, 3))
     R = np.tile(np.diag([0.25, 0.2]) ** 2, (Z, 1, 1))
     particles = Particles(s, P, np.zeros(many), np.arange(many), MapStore(Linear()).empty(many))
-    _, log_p = update_pose(particles, frame, matched, ObservationNoise(R, np.zeros((2, 2))), UNWEIGHED)
+    _, (log_p, (seen_v, seen_V)) = update_pose(
+        particles, frame, matched, ObservationNoise(R, np.zeros((2, 2))), UNWEIGHED
+    )
 
     G = np.tile(np.eye(2, 3), (Z, 1))  # dz/ds, but for its sign
     for k in range(many):
@@ -300,3 +312,5 @@ def test_chained_densities_are_the_stacked_one(frozen: bool) -> None:
             V[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += matched.Sigma[k, i] + R[i]
         v = (frame.z - theta[k] + s[k, :2]).ravel()
         np.testing.assert_allclose(log_p[k].sum(), plain.log_gauss(v, V), rtol=1e-9)
+        chain = [plain.log_gauss(seen_v[k, i], seen_V[k, i]) for i in range(Z)]
+        np.testing.assert_allclose(chain, log_p[k], rtol=1e-9)

@@ -204,10 +204,10 @@ def test_permuted_particles_give_permuted_results(association: Any) -> None:
     np.testing.assert_array_equal(b.weighted.s, a.weighted.s[order])
     np.testing.assert_array_equal(b.log_likelihood, a.log_likelihood[order])
     R = observation_noise(frame, Params(believed=plain.WORLD_NOISE))
-    updated, log_p = update_features(particles, frame, matched_features(particles.maps, a.n), R, UNWEIGHED)
+    updated, weighed = update_features(particles, frame, matched_features(particles.maps, a.n), R, UNWEIGHED)
     turned = permuted(particles)
-    updated_b, log_p_b = update_features(turned, frame, matched_features(turned.maps, b.n), R, UNWEIGHED)
-    np.testing.assert_array_equal(log_p_b, log_p[order])
+    updated_b, weighed_b = update_features(turned, frame, matched_features(turned.maps, b.n), R, UNWEIGHED)
+    np.testing.assert_array_equal(weighed_b.log_p, weighed.log_p[order])
     for k in range(9):
         np.testing.assert_array_equal(updated_b.maps.features(k)[0], updated.maps.features(order[k])[0])
 
