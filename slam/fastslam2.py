@@ -13,6 +13,7 @@ from slam.phases import (
     initial,
     linearised_at,
     matched_features,
+    merge_features,
     miss_density,
     noise_of_known,
     observation_noise,
@@ -44,11 +45,12 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     log_p = params.temper * log_p
     mapped, events = reweigh(mapped, log_p)
     mapped = extend_features(mapped, frame, n)  # 4.1
+    mapped, n, merged = merge_features(mapped, frame, n, R_known, params)  # two walls that are one
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = updated._replace(log_w=mapped.log_w, maps=mapped.maps)
-    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events)
+    return resampled, Trace(predicted, weighted, resampled, n, log_p, n_eff, did, resized, selected, events, merged)
 
 
 FASTSLAM2 = Estimator(

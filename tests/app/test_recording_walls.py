@@ -209,7 +209,7 @@ def test_an_association_ends_where_the_wall_does():
     z = np.zeros((2, 11))
     z[:, :3] = [[0.1, 2.5, math.pi / 2], [-0.2, 1.0, math.pi / 2]]
     frame = build("corridor").steps[0].frame._replace(z=z)
-    drawn = walls.observations(frame, np.zeros(3), np.array([0, 0]), wall, ORANGE)["associations"][0]
+    drawn = walls.observations(frame, np.zeros(3), np.array([0, 0]), wall[[0, 0]], ORANGE)["associations"][0]
     ends = np.array(drawn.strips.as_arrow_array().to_pylist())[:, 1, :2]
     np.testing.assert_allclose(ends, [[0.0, 2.0], [0.0, 1.0]], atol=1e-6)
 
