@@ -25,11 +25,11 @@ from slam.features import (
     distance,
     draw,
     extend,
+    extent,
     innovation,
     inverse,
     measurement,
     observable,
-    region,
     total,
     united,
 )
@@ -470,6 +470,9 @@ MERGE_GATE = float(chi_square_gates(0.99, 1)[1])
 """The squared distance up to which two walls may be one (ours).  `Params.gate` is no measure of it: where that is wide,
 it is because odometry is worse than it says, and between two walls beside one piece there is no odometry."""
 
+MERGE_REACH = 0.5
+"""[m] No farther from the piece is a wall looked for that another one may be merged with."""
+
 
 def merge_features(
     particles: Particles, frame: Frame, n: Ints, R: ObservationNoise, params: Params
@@ -477,10 +480,10 @@ def merge_features(
     """(ours) Of two walls in a particle's map that a piece lies along, the younger one is absorbed into the elder one.
 
     Justified is what this scan shows: the piece is paired with one of the two, is within the gate of both from the
-    pose as it is now (R as for known features), and the distance of the two is within `MERGE_GATE`, with floors and
-    Sigma but without `inflate_r`, which is for what a pose does not know.  Each wall takes part in one merger a step at
-    the most.  Also the correspondences n (K, Z), those of the younger ones now with the elder ones, and `Trace.merged`.
-    Where tags say which wall it is, they say as well what is not one.
+    pose as it is now, and the distance of the two is within `MERGE_GATE`, each as wrong as R, that of known features,
+    allows it to be.  Each wall takes part in one merger a step at the most.  Also the correspondences n (K, Z), where
+    the younger ones were now the elder ones, and `Trace.merged`.  Where tags say which wall it is, they say as well
+    what is not one.
     """
     if not params.merge_walls or not type(frame.feature).merges or params.association == "known":
         return particles, n, None
@@ -488,10 +491,10 @@ def merge_features(
     maps, most = particles.maps, int(particles.maps.counts.max(initial=0))
     theta, Sigma = np.empty((*n.shape, maps.store.dim)), np.empty((*n.shape, 2, 2))
     stack, found = np.empty((FAN * maps.depth + 1, 3), np.int64), np.empty(most, np.int64)
-    gate, floors = float(chi_square_gates(params.gate, 1)[1]), R.model / params.inflate_r
+    gate = float(chi_square_gates(params.gate, 1)[1])
     _find_mergers(
         maps.store.pool, maps.roots, maps.counts, maps.depth, frame.feature, particles.s, particles.P, n, frame.z, R,
-        gate, floors, stack, found, elder, younger, theta, Sigma,
+        gate, stack, found, elder, younger, theta, Sigma,
     )  # fmt: skip
     if not (younger >= 0).any():
         return particles, n, younger
@@ -503,10 +506,10 @@ def merge_features(
 @kernel
 def _find_mergers(
     pool: Any, roots: Any, counts: Any, depth: Any, feature: Any, s: Any, P: Any, n: Any, z: Any, R: Any, gate: Any,
-    floors: Any, stack: Any, found: Any, elder: Any, younger: Any, theta: Any, Sigma: Any,
+    stack: Any, found: Any, elder: Any, younger: Any, theta: Any, Sigma: Any,
 ) -> None:  # fmt: skip
     """Into elder, younger (K, Z), which are NEW, and theta, Sigma of the two as one."""
-    known, model = load22(R.model), load22(floors)
+    model = load22(R.model)
     for k in range(len(s)):
         sk, Pk = load3(s[k]), load33(P[k])
         for i in range(len(z)):
@@ -514,16 +517,18 @@ def _find_mergers(
             if a < 0 or _takes_part(elder[k], younger[k], a):
                 continue
             row_a, Sigma_a = _entry(pool, roots[k], depth, a)
-            if not _may_be_of(feature, row_a, Sigma_a, sk, Pk, z[i], Ri, known, gate):
+            if not _may_be_of(feature, row_a, Sigma_a, sk, Pk, z[i], Ri, model, gate):
                 continue
             nearest = MERGE_GATE
-            box, beyond = region(feature, sk, Pk, z[i], Ri, known, np.sqrt(gate))
-            for c in range(search(pool, roots[k], depth, counts[k], box, beyond, stack, found)):
+            new, _, _ = inverse(feature, sk, z[i])
+            x0, y0, x1, y1 = extent(feature, new)
+            box = (x0 - MERGE_REACH, y0 - MERGE_REACH, x1 + MERGE_REACH, y1 + MERGE_REACH)
+            for c in range(search(pool, roots[k], depth, counts[k], box, 0.0, stack, found)):
                 b = found[c]
                 if b == a or _takes_part(elder[k], younger[k], b):
                     continue
                 row_b, Sigma_b = _entry(pool, roots[k], depth, b)
-                if not _may_be_of(feature, row_b, Sigma_b, sk, Pk, z[i], Ri, known, gate):
+                if not _may_be_of(feature, row_b, Sigma_b, sk, Pk, z[i], Ri, model, gate):
                     continue
                 first, Sigma_1, second, Sigma_2 = row_a, Sigma_a, row_b, Sigma_b
                 if b < a:

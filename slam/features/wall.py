@@ -41,6 +41,9 @@ STRAIGHT = (0.005, math.radians(0.05))
 LEVER = 20.0
 """[m] of a wall over which the error of its angle counts."""
 
+FLUSH = 0.1
+"""[m] Walls that stand farther apart are two, whatever else is allowed to them: a closed door, a shelf (ours)."""
+
 SAME_END = 0.3
 """[m] within which an end that was seen is the end that the map has."""
 
@@ -240,8 +243,8 @@ class Wall(NamedTuple):
         """Of the other wall's lateral offset and angle in the frame of the first, beside the piece (ours).
 
         Each wall may be as wrong as `model` and its Sigma say, seen from where along it the piece is.  Infinite unless
-        they show the same side, the piece lies along both, and neither goes on beyond an end of the other one that was
-        seen: a piece that reaches across a door does not make one wall of two.
+        they show the same side, the piece lies along both, they are `FLUSH` there, and neither goes on beyond an end of
+        the other one that was seen: a piece that reaches across a door does not make one wall of two.
         """
         if abs(wrap(other[2] - theta[2])) > feature.turn:
             return math.inf
@@ -258,6 +261,8 @@ class Wall(NamedTuple):
         t, _ = _across(other, px, py)
         x, y = other[0] + t * math.cos(other[2]), other[1] + t * math.sin(other[2])
         along, lateral = _across(theta, x, y)
+        if abs(lateral) > FLUSH:
+            return math.inf
         V = add22(sandwich22(_lever(along), Sigma), sandwich22(_lever(t), Sigma_other))
         V = add22(V, sandwich22(_lever(min(max(along, -LEVER), LEVER)), model))
         V = add22(V, sandwich22(_lever(min(max(t, -LEVER), LEVER)), model))
