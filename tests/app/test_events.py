@@ -72,7 +72,7 @@ def test_a_wrong_match_closes_no_loop():
 )
 def test_which_matches_are_right(seen: list[int], of_map: list[int], right: list[bool]):
     """The first is taken for feature 2, the second is new, the third is taken for feature 0."""
-    maps = SimpleNamespace(features=lambda k: (None, None, np.array(of_map)))
+    maps = SimpleNamespace(tags=lambda k: np.array(of_map))
     trace = SimpleNamespace(n=np.array([[IGNORED] * 3, [2, NEW, 0]]), weighted=SimpleNamespace(maps=maps))
     assert right_matches(trace, np.array(seen), 1).tolist() == right  # type: ignore[arg-type]
 

@@ -1,4 +1,4 @@
-"""Two walls of a map that are one: when they are merged, what comes of it, and that nobody sees the one that is gone."""
+"""Two walls of a map that are one: when they are merged, what comes of it, and that nobody sees what is gone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from slam.association import associate
 from slam.estimators import ESTIMATORS
 from slam.features import Wall, distance, united
-from slam.features.wall import CORNER, EDGE, HIDDEN, LEVER, SAME_END
+from slam.features.wall import CORNER, EDGE, LEVER, SAME_END
 from slam.geometry import wrap
 from slam.map_store import MapStore
 from slam.metrics import measure
@@ -31,9 +31,7 @@ def along_x(begin: float, end: float, y: float, angle: float = 0.0, ends: tuple[
     return np.array([0.5 * (begin + end), y, angle, 0.5 * (begin - end), 0.5 * (end - begin), *ends, 2.0])
 
 
-def seen_along_x(
-    begin: float, end: float, y: float, ends: tuple[int, int] = (HIDDEN, HIDDEN), angle: float = 0.0
-) -> Floats:
+def seen_along_x(begin: float, end: float, y: float, ends: tuple[int, int] = (0, 0), angle: float = 0.0) -> Floats:
     """(11,) the same as a piece, from the origin."""
     return np.array(
         [0.5 * (begin + end), y, angle, 0.5 * (begin - end), 0.5 * (end - begin), 1e-6, 1e-6, *ends, 20, angle]
@@ -74,7 +72,7 @@ def walls_left(walls: list[Floats], piece: Floats, n: int = 0, **changes: Any) -
 @pytest.mark.parametrize("preset", [{}, LOG])
 @pytest.mark.parametrize("paired", [0, 1])
 def test_two_copies_are_merged(paired: int, preset: dict[str, Any]) -> None:
-    """4 cm apart: the younger one is gone, whichever of them the piece was paired with, which is paired with the elder."""
+    """4 cm apart: the younger one is gone, whichever the piece was paired with; now it is paired with the elder one."""
     walls = [along_x(-2.0, 1.0, -1.0), along_x(-0.5, 3.0, -1.04), along_x(-2.0, 2.0, 3.0)]
     particles, frame = particles_with(walls), frame_of(seen_along_x(-1.0, 2.0, -1.02))
     after, n = merged(particles, frame, [[paired]], Params(**{**vars(PARAMS), **preset}))
@@ -82,14 +80,13 @@ def test_two_copies_are_merged(paired: int, preset: dict[str, Any]) -> None:
     assert after.maps.indices(0).tolist() == [0, 2]
     theta = after.maps.features(0)[0]
     np.testing.assert_array_equal(theta[1], walls[2])
-    np.testing.assert_allclose(
-        theta[0], [-0.5, -1.0, 0.0, -1.5, 3.5, 0.0, 0.0, 4.0]
-    )  # frozen where it is, as long as both
+    np.testing.assert_allclose(theta[0], [-0.5, -1.0, 0.0, -1.5, 3.5, 0.0, 0.0, 4.0])  # frozen, as long as both
 
 
 FAR_APART = {
     "the faces of a thin wall": ([along_x(-2, 2, -1.0), along_x(-2, 2, -1.04, math.pi)], seen_along_x(-1, 1, -1.02)),
     "shelves": ([along_x(-2, 2, -1.0), along_x(-2, 2, -1.3)], seen_along_x(-1, 1, -1.15)),
+    "a closed door": ([along_x(-2, 2, -1.0), along_x(-2, 2, -1.12)], seen_along_x(-1, 1, -1.06)),
     "a bend": ([along_x(-2, 2, -1.0), along_x(-2, 2, -1.0, 0.15)], seen_along_x(-1, 1, -1.0, angle=0.07)),
     "across a door": (
         [along_x(-4, -0.5, -1.0, ends=(0, 1)), along_x(0.5, 4, -1.0, ends=(1, 0))],
@@ -112,7 +109,7 @@ def test_what_is_two_stays_two(case: str, paired: int) -> None:
     assert walls_left(walls[::-1], piece, paired).tolist() == [0, 1]
 
 
-@pytest.mark.parametrize("case", ["the faces of a thin wall", "shelves", "across a door", "one jamb seen"])
+@pytest.mark.parametrize("case", sorted(set(FAR_APART) - {"the piece is of one"}))
 def test_wide_gates_merge_no_more(case: str) -> None:
     """With nine times R and a gate that lets half a metre in."""
     walls, piece = FAR_APART[case]
@@ -177,7 +174,7 @@ def test_each_particle_has_its_own_walls() -> None:
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (30.0, -7.0, 2.9)])
 def test_two_estimates_are_fused_as_kalman_has_it(place: tuple[float, float, float]) -> None:
-    """The product of two Gaussians of one line, in the frame of the elder one, made for lines that are all but parallel."""
+    """The product of two Gaussians, in the frame of the elder one; for lines that are all but parallel it is exact."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         angle, t = place[2], rng.uniform(-5, 5)
@@ -200,14 +197,14 @@ def test_two_estimates_are_fused_as_kalman_has_it(place: tuple[float, float, flo
 
 
 def test_the_distance_is_that_beside_the_piece() -> None:
-    """By matrices: two lines 10 m from where they were made, each as wrong as the floors and its Sigma make it there."""
-    elder, younger = np.array([-10.0, 0, 0, -1, 21, 0, 0, 1]), np.array([14.0, 0.3, 0.01, -15, 1, 0, 0, 1])
+    """By matrices: two lines far from where they were made, as wrong as the floors and their Sigma make them there."""
+    elder, younger = np.array([-10.0, 0, 0, -1, 21, 0, 0, 1]), np.array([14.0, 0.18, 0.01, -15, 1, 0, 0, 1])
     model, Sigma, other = np.diag([2e-3, 1e-5]), np.diag([1e-3, 2e-5]), np.array([[4e-3, 1e-4], [1e-4, 3e-5]])
-    piece = seen_along_x(1.0, 5.0, 0.2)
+    piece = seen_along_x(1.0, 5.0, 0.05)
     t, along = 3.0 - 14.0, 13.0
     lever, elder_lever = np.array([[1, t], [0, 1]]), np.array([[1, along], [0, 1]])
     V = elder_lever @ (Sigma + model) @ elder_lever.T + lever @ (other + model) @ lever.T
-    v = np.array([0.3 + t * 0.01, 0.01])
+    v = np.array([0.18 + t * 0.01, 0.01])
     found = distance(WALL, elder, *(tuple(map(tuple, Sigma)), younger, tuple(map(tuple, other))), ORIGIN, piece,
                      tuple(map(tuple, model)))  # fmt: skip
     assert found == pytest.approx(v @ np.linalg.solve(V, v), rel=0.02)
