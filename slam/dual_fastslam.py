@@ -42,8 +42,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = weigh_marginal(predicted, frame, matched, R_known, miss)  # (43), at the predicted pose
     log_p = params.temper * log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = extend_features(weighted, frame, n)  # 4.1
-    mapped, n, merged = merge_features(mapped, frame, n, R_known, params)  # two walls that are one
+    mapped, n, merged = merge_features(weighted, frame, n, R_known, params)  # two walls that are one
+    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = draw_features(rng, mapped, frame, n, R)  # (34, 37)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 

@@ -39,8 +39,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     updated, log_p = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
     log_p = params.temper * log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = extend_features(weighted, frame, n)  # 4.1
-    mapped, n, merged = merge_features(mapped, frame, n, R_known, params)  # two walls that are one
+    mapped, n, merged = merge_features(weighted, frame, n, R_known, params)  # two walls that are one
+    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 

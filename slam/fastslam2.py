@@ -44,8 +44,8 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = log_p + log_p_drawn - linearised_at(predicted, frame, matched, R_known, drawn)
     log_p = params.temper * log_p
     mapped, events = reweigh(mapped, log_p)
-    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped, n, merged = merge_features(mapped, frame, n, R_known, params)  # two walls that are one
+    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 

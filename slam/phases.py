@@ -481,9 +481,10 @@ def merge_features(
 
     Justified is what this scan shows: the piece is paired with one of the two, is within the gate of both from the
     pose as it is now, and the distance of the two is within `MERGE_GATE`, each as wrong as R, that of known features,
-    allows it to be.  Each wall takes part in one merger a step at the most.  Also the correspondences n (K, Z), where
-    the younger ones were now the elder ones, and `Trace.merged`.  Where tags say which wall it is, they say as well
-    what is not one.
+    allows it to be.  Walls are as they were before this piece extends one of them (`extend_features`): it would lie
+    along that one whatever it is.  Each wall takes part in one merger a step at the most.  Also the correspondences n
+    (K, Z), where the younger ones were now the elder ones, and `Trace.merged`.  Where tags say which wall it is, they
+    say as well what is not one.
     """
     if not params.merge_walls or not type(frame.feature).merges or params.association == "known":
         return particles, n, None
