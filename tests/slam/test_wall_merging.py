@@ -258,6 +258,18 @@ def test_every_filter_merges_and_says_so(key: str) -> None:
     assert off.weighted.maps.indices(0).tolist() == [0, 1, 2]
 
 
+@pytest.mark.parametrize("key", FILTERS)
+def test_a_piece_does_not_lie_along_a_wall_because_it_extends_it(key: str) -> None:
+    """It ends before the younger wall, of which it is taken to be: nobody has seen what lies between the two."""
+    walls = [along_x(-4, -0.5, -1.06), along_x(0.5, 4, -1.0)]
+    start = particles_with(walls, Sigma=np.zeros((2, 2)) if key == "dfs" else np.diag([1e-4, 1e-6]))
+    _, trace = ESTIMATORS[key].step(np.random.default_rng(0), start, frame_of(seen_along_x(-3, 0.3, -1.0)), PARAMS)
+    assert trace.n.tolist() == [[1]]
+    theta = trace.weighted.maps.features(0)[0]
+    assert len(theta) == 2
+    assert theta[1, 0] + theta[1, 3] == pytest.approx(-3, abs=0.1)  # extended it is
+
+
 # A limit on what one scan adds ------------------------------------------------------------------------------------
 
 
