@@ -105,7 +105,7 @@ BAD = [
     (["run", "field", "--filters", "ekf", "--orthogonal"], ["--orthogonal does not apply to field", "for walls"]),
     (["run", "field", "--merge-walls"], ["--merge-walls does not apply to field", "for walls"]),
     (["run", "field", "--most-new", "2"], ["--most-new does not apply to field", "for walls"]),
-    (["run", "loop", "--most-new", "-1"], ["--most-new is -1", "at least 0"]),
+    (["run", "loop", "--most-new", "-1"], ["--most-new is -1", "between 0 and 1000000"]),
     (["run", "loop", "--merge-walls", "--filters", "ekf"], ["--merge-walls does not apply to EKF-SLAM", "dfs, fs2 or"]),
     (["run", "loop", "--orthogonal"], ["--orthogonal does not apply to these filters", "expected ekf in --filters"]),
     (["run", "loop", "--noise.range", "-0.1"], ["--noise.range is -0.1", "between 0 and 1000000"]),
