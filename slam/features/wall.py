@@ -69,7 +69,7 @@ def _told(P: Any, R: Any) -> Any:
 
 
 @register_jitable
-def reach(theta: Any, place: Any, a: Any, b: Any) -> Any:
+def stretch(theta: Any, place: Any, a: Any, b: Any) -> Any:
     """From where to where [m] along the axis of a wall a piece reaches that has its ends a, b in the frame `place`."""
     middle = math.cos(theta[2]) * (place[0] - theta[0]) + math.sin(theta[2]) * (place[1] - theta[1])
     turned = math.cos(place[2] - theta[2])
@@ -79,7 +79,7 @@ def reach(theta: Any, place: Any, a: Any, b: Any) -> Any:
 @register_jitable
 def _lies_along(theta: Any, place: Any, z: Any) -> Any:
     """Whether a piece z with its frame at `place` has `SAME_END` or more of its length in common with a wall."""
-    low, high = reach(theta, place, z[3], z[4])
+    low, high = stretch(theta, place, z[3], z[4])
     return min(high, theta[4]) - max(low, theta[3]) >= SAME_END
 
 
@@ -243,16 +243,14 @@ class Wall(NamedTuple):
         """Of the other wall's lateral offset and angle in the frame of the first, beside the piece (ours).
 
         Each wall may be as wrong as `model` and its Sigma say, seen from where along it the piece is.  Infinite unless
-        they show the same side, the piece lies along both, they are `FLUSH` there, and neither goes on beyond an end of
-        the other one that was seen: a piece that reaches across a door does not make one wall of two.
+        the piece lies along both, they are flush there, and neither goes on beyond an end of the other one that was
+        seen: a piece that reaches across a door does not make one wall of two.
         """
-        if abs(wrap(other[2] - theta[2])) > feature.turn:
-            return math.inf
         px, py = _placed(s, z[0], z[1])
         place = (px, py, s[2] + z[2])
         if not (_lies_along(theta, place, z) and _lies_along(other, place, z)):
             return math.inf
-        a, b = reach(theta, other, other[3], other[4])
+        a, b = stretch(theta, other, other[3], other[4])
         before, beyond = theta[3] - a, b - theta[4]  # how far the other one goes on beyond the first
         if (theta[5] > 0.0 and before > SAME_END) or (other[5] > 0.0 and -before > SAME_END):
             return math.inf
@@ -284,7 +282,7 @@ class Wall(NamedTuple):
             v = (lateral, wrap(other[2] - theta[2]))
             delta, fused = kalman_feature(Sigma, v, ((1.0, 0.0), (0.0, 1.0)), R, V)
         x, y = theta[0] - math.sin(theta[2]) * delta[0], theta[1] + math.cos(theta[2]) * delta[0]
-        a, b = reach(theta, other, other[3], other[4])
+        a, b = stretch(theta, other, other[3], other[4])
         a = theta[3] if theta[5] > 0.0 else min(theta[3], a)
         b = theta[4] if theta[6] > 0.0 else max(theta[4], b)
         end_a, end_b = max(theta[5], other[5]), max(theta[6], other[6])

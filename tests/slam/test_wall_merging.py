@@ -150,15 +150,16 @@ def test_a_wall_is_merged_once_a_step_and_the_rest_later() -> None:
 
 
 def test_particles_that_share_a_map_are_independent() -> None:
-    """Three copies of one; the piece is paired in two of them."""
-    walls = [along_x(-2.0, 1.0, -1.0), along_x(-0.5, 3.0, -1.04)]
+    """Three copies of one; the piece is paired in two of them.  The younger wall is in another leaf than the elder."""
+    elsewhere = [along_x(-1.0, 1.0, y) for y in (3.0, 5.0, 7.0, 9.0)]
+    walls = [along_x(-2.0, 1.0, -1.0), *elsewhere, along_x(-0.5, 3.0, -1.04)]
     one = particles_with(walls)
     shared = one._replace(
         s=np.zeros((3, 3)), P=np.zeros((3, 3, 3)), log_w=np.zeros(3), lineage=np.zeros(3, np.int64),
         maps=one.maps.select(np.zeros(3, np.int64)),
     )  # fmt: skip
-    after, n = merged(shared, frame_of(seen_along_x(-1.0, 2.0, -1.02)), [[0], [NEW], [1]])
-    assert [after.maps.indices(k).tolist() for k in range(3)] == [[0], [0, 1], [0]]
+    after, n = merged(shared, frame_of(seen_along_x(-1.0, 2.0, -1.02)), [[0], [NEW], [5]])
+    assert [after.maps.indices(k).tolist() for k in range(3)] == [[*range(5)], [*range(6)], [*range(5)]]
     assert n.tolist() == [[0], [NEW], [0]]
     np.testing.assert_array_equal(after.maps.features(1)[0], walls)
     for before in (shared.maps, one.maps):
