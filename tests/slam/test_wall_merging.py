@@ -271,6 +271,24 @@ def test_a_piece_does_not_lie_along_a_wall_because_it_extends_it(key: str) -> No
     assert theta[1, 0] + theta[1, 3] == pytest.approx(-3, abs=0.1)  # extended it is
 
 
+@pytest.mark.parametrize("key", FILTERS)
+def test_where_nothing_is_to_be_done_nothing_changes(key: str) -> None:
+    """Not a bit: six steps along two walls, merging and with a limit that is not reached, and without."""
+    frames = [
+        frame_of(seen_along_x(-2, 2, -1.0 + 0.01 * t), seen_along_x(-2, 2, -2.0 - 0.01 * t, angle=math.pi))
+        for t in range(6)
+    ]
+    found = []
+    for changes in ({"merge_walls": False}, {"merge_walls": True, "most_new": 2}):
+        params = Params(**{**vars(PARAMS), "particles": 7, **changes})
+        state, rng = initial(WALL, ORIGIN, np.diag([0.01, 0.01, 1e-4]), params), np.random.default_rng(5)
+        for frame in frames:
+            state, trace = ESTIMATORS[key].step(rng, state, frame, params)
+        found.append([state.s, state.P, state.log_w, trace.n, *(x for k in range(7) for x in state.maps.features(k))])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 # A limit on what one scan adds ------------------------------------------------------------------------------------
 
 
