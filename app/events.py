@@ -105,6 +105,9 @@ class Watch:
             far &= right_matches(trace, step.frame.tags, measures.best)
         if self._begins(key, "loop closed", bool(far.any()), step.index):
             yield "loop closed", "INFO", _loop_closed(gaps[far])
+        absorbed = 0 if trace.merged is None else int(np.count_nonzero(trace.merged[measures.best] >= 0))
+        if self._begins(key, "merged", absorbed > 0, step.index):
+            yield "merged", "INFO", _merged(absorbed, measures.features)
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
             text = "has an infinite NEES: its particles agree on one position, and the truth is another"
             yield "singular", "WARN", text
@@ -144,6 +147,11 @@ def _association_lost(correct: int, wrong: int, missed: int) -> str:
 def _loop_closed(gaps: Distances) -> str:
     what = "a feature" if len(gaps) == 1 else f"{len(gaps)} features"
     return f"closed a loop: {what} of its best map matched again after {gaps.max():.0f} m"
+
+
+def _merged(absorbed: int, left: int) -> str:
+    what = "a wall" if absorbed == 1 else f"{absorbed} walls"
+    return f"merged {what} of its best map with older ones, since something seen lies along both; it has {left} now"
 
 
 def _resampled(update: FilterUpdate, threshold: float) -> str:

@@ -44,7 +44,7 @@ def right_matches(trace: Trace, tags: Ints, k: int) -> Bools:
     `tags` (Z,) are those of the frame.  All are right where neither the frame nor the map has one that is known.
     """
     matched = trace.n[k] >= 0
-    _, _, of_map = trace.weighted.maps.features(k)
+    of_map = trace.weighted.maps.tags(k)
     seen, mapped = tags[matched], of_map[trace.n[k][matched]]
     if (tags == UNKNOWN_TAG).all() and (of_map == UNKNOWN_TAG).all():
         return np.ones(len(seen), np.bool_)

@@ -35,6 +35,9 @@ from slam.types import (
 
 FILTERS = ("dfs", "fs2", "fs1", "ekf")
 
+OF_WALLS = ("floor_lateral", "floor_angle", "merge_walls", "most_new", "orthogonal", "matching")
+"""Parameters that change nothing where landmarks are seen."""
+
 PRESETS = {"paper": presets.PAPER, "building": presets.BUILDING, "log": presets.LOG}
 
 
@@ -88,6 +91,11 @@ class FilterOptions:
         float | None, values.real("--floor-angle", "DEG", PARAMS["floor_angle"]), _USUAL["floor_angle"]
     ] = None
     """Walls: the same of their angle."""
+    merge_walls: bool = False
+    """Walls, unknown association, not EKF-SLAM: two of a particle's map become one where something seen lies along
+    both."""
+    most_new: Annotated[int | None, values.whole("--most-new", "N", PARAMS["most_new"]), _USUAL["most_new"]] = None
+    """Walls: so many new ones at the most from one scan, the best ones; 0 is no limit."""
     orthogonal: bool = False
     """Walls, EKF-SLAM: those that may be parallel or at right angles to the first one are made so."""
     matching: Annotated[str | None, values.choice("--matching", get_args(MatchingName)), _USUAL["matching"]] = None
@@ -202,9 +210,10 @@ def parameters(
     preset = PRESETS[filters.preset] if filters.preset else {}
     given = _typed(filters)
     given.pop("preset", None)
-    if not filters.orthogonal:  # a flag that is not there says nothing
-        given.pop("orthogonal")
-    idle = next((name for name in ("floor_lateral", "floor_angle", "orthogonal", "matching") if name in given), None)
+    for flag in ("merge_walls", "orthogonal"):
+        if not given[flag]:  # a flag that is not there says nothing
+            given.pop(flag)
+    idle = next((name for name in OF_WALLS if name in given), None)
     if idle is not None and isinstance(source.feature, Point):
         raise UsageError(
             f"--{idle.replace('_', '-')} does not apply to {source.name}: it is for walls, and landmarks are seen there"

@@ -95,6 +95,11 @@ class Run(SessionOptions):
             raise UsageError(
                 "--orthogonal does not apply to these filters: it is for EKF-SLAM; expected ekf in --filters"
             )
+        if self.filter.merge_walls and set(self.filters) == {"ekf"}:
+            raise UsageError(
+                "--merge-walls does not apply to EKF-SLAM, whose one map has all correlations; expected dfs, fs2 or "
+                "fs1 in --filters"
+            )
         _check(self.output, self.source)
         return self._show(self.info(own, command))
 

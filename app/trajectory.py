@@ -76,10 +76,12 @@ class Trajectory:
             key, update = estimator.key, last.filters[estimator.key]
             k = best_descendant(update)
             path = best_path(update)
-            theta, Sigma, tags = update.trace.resampled.maps.features(k)
+            maps = update.trace.resampled.maps
+            theta, Sigma, tags = maps.features(k)
             self._write_path(f"{key}-online.tum", *self._paths.every_scan(np.array(self._online[key]), fit=False))
             feature = self._info.source.feature
-            self._write(f"{key}.geojson", geojson(estimator.title, path, feature, theta, Sigma, tags))
+            mapped = geojson(estimator.title, path, feature, theta, Sigma, tags, maps.indices(k))
+            self._write(f"{key}.geojson", mapped)
             layers[key] = map_layer(estimator.title, of_filter(key), path, feature, theta, Sigma)
             self._write(f"{key}.svg", self._picture([layers[key]], truth, self._scanned(path)))
         self._write("map.svg", self._picture(list(layers.values()), truth, np.zeros((0, 2))))
@@ -124,15 +126,17 @@ def tum(times: Iterable[float], poses: Floats) -> str:
     return "".join(lines)
 
 
-def geojson(title: str, path: Floats, feature: Any, theta: Floats, Sigma: Floats, tags: Ints) -> str:
+def geojson(title: str, path: Floats, feature: Any, theta: Floats, Sigma: Floats, tags: Ints, indices: Ints) -> str:
     """A FeatureCollection: the path (T, 3), and the features theta (n, D) of a kind with the deviations of Sigma.
+
+    `indices` (n,) are those in the map of the particle, where some may be missing (`Maps.indices`).
 
     Coordinates are metres in the world's own frame: these maps lie nowhere on the globe.
     """
     deviations = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 0.0))
     mapped = _walls(title, theta, deviations) if isinstance(feature, Wall) else _landmarks(theta, deviations)
-    for item, tag in zip(mapped, tags, strict=True):
-        item["properties"]["tag"] = None if tag == UNKNOWN_TAG else int(tag)
+    for item, tag, index in zip(mapped, tags, indices, strict=True):
+        item["properties"] |= {"index": int(index), "tag": None if tag == UNKNOWN_TAG else int(tag)}
     collection = {
         "type": "FeatureCollection",
         "name": title,
@@ -149,12 +153,12 @@ def _landmarks(theta: Floats, deviations: Floats) -> list[dict[str, Any]]:
             "Point",
             place,
             kind="landmark",
-            index=index,
+            index=None,
             tag=None,
             x_deviation_m=round(float(x_deviation), 9),
             y_deviation_m=round(float(y_deviation), 9),
         )
-        for index, (place, (x_deviation, y_deviation)) in enumerate(zip(theta, deviations, strict=True))
+        for place, (x_deviation, y_deviation) in zip(theta, deviations, strict=True)
     ]
 
 
@@ -166,7 +170,7 @@ def _walls(title: str, theta: Floats, deviations: Floats) -> list[dict[str, Any]
             a_b,
             kind="wall",
             filter=title,
-            index=index,
+            index=None,
             tag=None,
             observations=int(row[7]),
             start_seen=bool(row[5]),
@@ -174,7 +178,7 @@ def _walls(title: str, theta: Floats, deviations: Floats) -> list[dict[str, Any]
             lateral_deviation_m=round(float(lateral), 9),
             angle_deviation_rad=round(float(angle), 9),
         )
-        for index, (row, a_b, (lateral, angle)) in enumerate(zip(theta, ends(theta), deviations, strict=True))
+        for row, a_b, (lateral, angle) in zip(theta, ends(theta), deviations, strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam._jit import inline, kernel
-from slam.association import by_tag, candidates, ignore_gate
+from slam.association import by_tag, candidates, ignore_gate, limit_new
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
 from slam.features import Wall, compatible, draw, innovation, inverse, total
@@ -48,6 +48,7 @@ def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params
     predicted = state.particles
     n = associate_joint(state, frame, R_known, params)
     n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
+    limit_new(n, frame, R_known, params)
     state, weighed = update_joint(state, frame, n, R_known)
     state = state._replace(particles=extend_features(state.particles, frame, n))  # 4.1
     state = augment(state, frame, n, R)

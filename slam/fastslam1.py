@@ -11,6 +11,7 @@ from slam.phases import (
     extend_features,
     initial,
     matched_features,
+    merge_features,
     miss_density,
     noise_of_known,
     observation_noise,
@@ -38,13 +39,14 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
     updated, weighed = update_features(predicted, frame, matched, R_known, miss)  # its innovations are the weight
     log_p = params.temper * weighed.log_p
     weighted, events = reweigh(updated, log_p)
-    mapped = extend_features(weighted, frame, n)  # 4.1
+    mapped, n, merged = merge_features(weighted, frame, n, R_known, params)  # two walls that are one
+    mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = weighted._replace(maps=mapped.maps)
     return resampled, Trace(
-        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events
+        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events, merged
     )
 
 

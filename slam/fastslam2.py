@@ -13,6 +13,7 @@ from slam.phases import (
     initial,
     linearised_at,
     matched_features,
+    merge_features,
     miss_density,
     noise_of_known,
     observation_noise,
@@ -44,13 +45,14 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
         log_p = log_p + of_drawn.log_p - linearised_at(predicted, frame, matched, R_known, drawn)
     log_p = params.temper * log_p
     mapped, events = reweigh(mapped, log_p)
+    mapped, n, merged = merge_features(mapped, frame, n, R_known, params)  # two walls that are one
     mapped = extend_features(mapped, frame, n)  # 4.1
     mapped = add_features(mapped, frame, n, R)  # (33)
     resampled, selected, n_eff, did = resample_if_needed(rng, mapped, params)  # (44)
 
     weighted = updated._replace(log_w=mapped.log_w, maps=mapped.maps)
     return resampled, Trace(
-        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events
+        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events, merged
     )
 
 

@@ -46,6 +46,7 @@ PARAMS: dict[str, Interval] = {
     "temper": Interval(0, 1, open_low=True),
     "floor_lateral": Interval(0, LARGEST),
     "floor_angle": Interval(0, LARGEST),
+    "most_new": Interval(0, 1_000_000),
     "log_p_new": Interval(-LARGEST, LARGEST),
     "resample_below": Interval(0, 1),
 }

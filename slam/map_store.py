@@ -6,6 +6,8 @@ to change a feature is to copy the path to it (log n, a few hundred bytes) and t
 
 - resampling copies handles, not maps;
 - an old step is a cheap snapshot: whoever holds a `Maps` may read it for ever, from any thread;
+- a feature keeps its index for ever.  One that is removed leaves its place empty: nobody finds it, and readers of a map
+  do not see it;
 - every node knows the box around its features, so that the search for what may have been seen (4.3) looks only where
   the sensor does.  Features are made along the robot's way, so neighbours in the tree are neighbours in the world.
 
@@ -35,7 +37,8 @@ class Pool(NamedTuple):
     """All nodes and leaves, as arrays that kernels read and write.  A box is (x_min, y_min, x_max, y_max, spread)."""
 
     data: Floats
-    """(L, LEAF, D + 4) the features: theta (D), Sigma as (s00, s01, s11), and the tag of what was seen."""
+    """(L, LEAF, D + 4) the features: theta (D), Sigma as (s00, s01, s11), and the tag of what was seen, NaN of one
+    that was removed."""
     leaf_box: Floats
     """(L, 5); spread is the largest standard deviation of a feature inside."""
     child: Any
@@ -102,7 +105,7 @@ class Maps:
     def __init__(self, store: MapStore, roots: Any, counts: Ints, depth: int) -> None:
         self.store = store
         self.roots = roots  # (K,) int32
-        self.counts = counts  # (K,) features in each map
+        self.counts = counts  # (K,) features ever made in each map, and so the index of the next one
         self.depth = depth  # levels of inner nodes, the same for all
         with store._lock:
             store._alive[id(self)] = self
@@ -126,6 +129,13 @@ class Maps:
         store = self.store
         roots, done = store._begin(self, writes=int(np.count_nonzero(n >= 0))), np.empty(n.shape[1], np.int64)
         _replace(store.pool, store.feature, roots, self.counts, self.depth, n, theta, Sigma, done)
+        return Maps(store, roots, self.counts, self.depth)
+
+    def remove(self, n: Ints) -> Maps:
+        """The maps without the features n (K, Z), whose indices are nobody's from then on; NEW is passed over."""
+        store = self.store
+        roots, done = store._begin(self, writes=int(np.count_nonzero(n >= 0))), np.empty(n.shape[1], np.int64)
+        _remove(store.pool, store.feature, roots, self.counts, self.depth, n, done)
         return Maps(store, roots, self.counts, self.depth)
 
     def append(self, new: Any, theta: Floats, Sigma: Floats, tags: Ints) -> Maps:
@@ -155,14 +165,26 @@ class Maps:
         return n
 
     def features(self, k: int) -> tuple[Floats, Floats, Ints]:
-        """theta (n, D), Sigma (n, 2, 2) and tags (n,) of map k, in the order of creation."""
-        size = int(self.counts[k])
-        n = np.arange(size)[None]
-        theta, Sigma = np.empty((1, size, self.store.dim)), np.empty((1, size, 2, 2))
-        tags = np.empty(size, np.int64)
-        _take(self.store.pool, self.roots[k : k + 1], self.depth, n, theta, Sigma)
+        """theta (n, D), Sigma (n, 2, 2) and tags (n,) of what map k has, in the order of creation (`indices`)."""
+        tags = self._tags(k)
+        n = np.flatnonzero(~np.isnan(tags))
+        theta, Sigma = np.empty((1, len(n), self.store.dim)), np.empty((1, len(n), 2, 2))
+        _take(self.store.pool, self.roots[k : k + 1], self.depth, n[None], theta, Sigma)
+        return theta[0], Sigma[0], tags[n].astype(np.int64)
+
+    def indices(self, k: int) -> Ints:
+        """(n,) of the features that map k has: all that were ever made, but for those that were removed."""
+        return np.flatnonzero(~np.isnan(self._tags(k)))
+
+    def tags(self, k: int) -> Ints:
+        """(counts[k],) by index, for those who have correspondences; `UNKNOWN_TAG` for what was removed."""
+        tags = self._tags(k)
+        return np.where(np.isnan(tags), UNKNOWN_TAG, tags).astype(np.int64)
+
+    def _tags(self, k: int) -> Floats:
+        tags = np.empty(int(self.counts[k]))
         _tags(self.store.pool, self.roots[k], self.depth, tags)
-        return theta[0], Sigma[0], tags
+        return tags
 
     def everything(self, limit: int) -> tuple[Ints, Floats]:
         """owner (N,) and theta (N, D) of the features of all maps, of evenly chosen maps where that exceeds `limit`."""
@@ -297,10 +319,12 @@ def _bound(pool: Any, feature: Any, roots: Any, k: Any, depth: Any, i: Any, coun
     """Box the leaf of feature i anew, and let the boxes above cover it."""
     leaf = leaf_of(pool, roots[k], depth, i)
     first = i - (i & (LEAF - 1))
-    dim = pool.data.shape[2] - 4
+    dim, last = pool.data.shape[2] - 4, pool.data.shape[2] - 1
     x0, y0, x1, y1, most = np.inf, np.inf, -np.inf, -np.inf, 0.0
     for j in range(min(LEAF, count - first)):
         row = pool.data[leaf, j]
+        if np.isnan(row[last]):
+            continue
         a, b, c, d = extent(feature, row)
         x0, y0, x1, y1 = min(x0, a), min(y0, b), max(x1, c), max(y1, d)
         most = max(most, spread(feature, row, ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))))
@@ -395,6 +419,20 @@ def _replace(
 
 
 @kernel
+def _remove(pool: Any, feature: Any, roots: Any, counts: Any, depth: Any, n: Any, done: Any) -> None:
+    last = pool.data.shape[2] - 1
+    for k in range(n.shape[0]):
+        size = 0
+        for i in range(n.shape[1]):
+            if n[k, i] >= 0:
+                leaf = _own_leaf(pool, roots, k, depth, done, size, n[k, i])
+                pool.data[leaf, n[k, i] & (LEAF - 1), last] = np.nan
+                done[size] = n[k, i]
+                size += 1
+                _bound(pool, feature, roots, k, depth, n[k, i], counts[k])
+
+
+@kernel
 def _append(
     pool: Any, feature: Any, roots: Any, counts: Any, depth: Any, new: Any, theta: Any, Sigma: Any, tags: Any, done: Any
 ) -> None:
@@ -428,11 +466,11 @@ def _find(pool: Any, roots: Any, counts: Any, depth: Any, tags: Any, begin: Any,
 def search(pool: Any, root: Any, depth: Any, count: Any, box: Any, reach: Any, stack: Any, found: Any) -> Any:
     """Indices of the features in leaves that touch `box` grown by `reach` times their spread (4.3); returns how many.
 
-    stack: (FAN * depth + 1, 3) work space.  At most len(found) are written.
+    Not of those that were removed.  stack: (FAN * depth + 1, 3) work space.  At most len(found) are written.
     """
     if root < 0:
         return 0
-    size = 0
+    size, last = 0, pool.data.shape[2] - 1
     stack[0, 0], stack[0, 1], stack[0, 2] = root, depth - 1, 0
     height = 1
     while height > 0:
@@ -452,7 +490,7 @@ def search(pool: Any, root: Any, depth: Any, count: Any, box: Any, reach: Any, s
                 height += 1
             else:
                 for i in range(first, min(first + LEAF, count)):
-                    if size < len(found):
+                    if size < len(found) and not np.isnan(pool.data[child, i - first, last]):
                         found[size] = i
                         size += 1
     return size

@@ -98,9 +98,10 @@ def measure(
 
     scores = scores_of(frame.feature)
     theta, _, map_tags = weighted.maps.features(best)
-    before = int(trace.predicted.maps.counts[best])  # features that this step did not add
-    held = scores.held(frame.feature, theta[:before], map_tags[:before], weighted.s[best], frame.z, frame.tags)
-    correct, wrong, missed = association_score(trace.n[best], frame.tags, map_tags[:before], held)
+    before = int(trace.predicted.maps.counts[best])
+    old = weighted.maps.indices(best) < before  # features that this step did not add
+    held = scores.held(frame.feature, theta[old], map_tags[old], weighted.s[best], frame.z, frame.tags)
+    correct, wrong, missed = association_score(trace.n[best], frame.tags, weighted.maps.tags(best)[:before], held)
     aligned = unaligned = math.nan
     if true_map is not None:
         aligned, unaligned = scores.map_errors(theta, map_tags, true_map.tags, true_map.theta)

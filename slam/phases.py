@@ -19,13 +19,27 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.association.jcbb import chi_square_gates
-from slam.features import displacement, draw, extend, innovation, inverse, measurement, observable, total
+from slam.features import (
+    compatible,
+    displacement,
+    distance,
+    draw,
+    extend,
+    extent,
+    innovation,
+    inverse,
+    measurement,
+    observable,
+    total,
+    united,
+)
 from slam.geometry import wrap
 from slam.linalg import (
     LOG_TWO_PI,
     add22,
     add_outer_scaled,
     determinant22,
+    distance2,
     dot3,
     factor33,
     kalman_feature,
@@ -42,7 +56,7 @@ from slam.linalg import (
     store33,
     times33,
 )
-from slam.map_store import Maps, MapStore
+from slam.map_store import FAN, LEAF, Maps, MapStore, leaf_of, search
 from slam.motion import deviation, propagate
 from slam.resampling import effective_sample_size, normalise, resample, wants_resampling
 from slam.types import NEW, Floats, Frame, Innovations, Ints, Noise, ObservationNoise, Params, Particles
@@ -471,6 +485,109 @@ def _extend_features(feature: Any, s: Any, n: Any, z: Any, theta: Any) -> None:
                 extended = extend(feature, theta[k, i], sk, z[i])
                 for m in range(len(extended)):
                     theta[k, i, m] = extended[m]
+
+
+MERGE_GATE = float(chi_square_gates(0.99, 1)[1])
+"""The squared distance up to which two walls may be one (ours).  `Params.gate` is no measure of it: where that is wide,
+it is because odometry is worse than it says, and between two walls beside one piece there is no odometry."""
+
+MERGE_REACH = 0.5
+"""[m] No farther from the piece is a wall looked for that another one may be merged with."""
+
+
+def merge_features(
+    particles: Particles, frame: Frame, n: Ints, R: ObservationNoise, params: Params
+) -> tuple[Particles, Ints, Ints | None]:
+    """(ours) Of two walls in a particle's map that a piece lies along, the younger one is absorbed into the elder one.
+
+    Justified is what this scan shows: the piece is paired with one of the two, is within the gate of both from the
+    pose as it is now, and the distance of the two is within `MERGE_GATE`, each as wrong as R, that of known features,
+    allows it to be.  Walls are as they were before this piece extends one of them (`extend_features`): it would lie
+    along that one whatever it is.  Each wall takes part in one merger a step at the most.  Also the correspondences n
+    (K, Z), where the younger ones were now the elder ones, and `Trace.merged`.  Where tags say which wall it is, they
+    say as well what is not one.
+    """
+    if not params.merge_walls or not type(frame.feature).merges or params.association == "known":
+        return particles, n, None
+    elder, younger = np.full(n.shape, NEW), np.full(n.shape, NEW)
+    maps, most = particles.maps, int(particles.maps.counts.max(initial=0))
+    theta, Sigma = np.empty((*n.shape, maps.store.dim)), np.empty((*n.shape, 2, 2))
+    stack, found = np.empty((FAN * maps.depth + 1, 3), np.int64), np.empty(most, np.int64)
+    gate = float(chi_square_gates(params.gate, 1)[1])
+    _find_mergers(
+        maps.store.pool, maps.roots, maps.counts, maps.depth, frame.feature, particles.s, particles.P, n, frame.z, R,
+        gate, stack, found, elder, younger, theta, Sigma,
+    )  # fmt: skip
+    if not (younger >= 0).any():
+        return particles, n, younger
+    for i in range(n.shape[1]):
+        n = np.where((n == younger[:, i, None]) & (n >= 0), elder[:, i, None], n)
+    return particles._replace(maps=maps.replace(elder, theta, Sigma).remove(younger)), n, younger
+
+
+@kernel
+def _find_mergers(
+    pool: Any, roots: Any, counts: Any, depth: Any, feature: Any, s: Any, P: Any, n: Any, z: Any, R: Any, gate: Any,
+    stack: Any, found: Any, elder: Any, younger: Any, theta: Any, Sigma: Any,
+) -> None:  # fmt: skip
+    """Into elder, younger (K, Z), which are NEW, and theta, Sigma of the two as one."""
+    model = load22(R.model)
+    for k in range(len(s)):
+        sk, Pk = load3(s[k]), load33(P[k])
+        for i in range(len(z)):
+            a, Ri = n[k, i], load22(R.sensor[i])
+            if a < 0 or _takes_part(elder[k], younger[k], a):
+                continue
+            row_a, Sigma_a = _entry(pool, roots[k], depth, a)
+            if not _may_be_of(feature, row_a, Sigma_a, sk, Pk, z[i], Ri, model, gate):
+                continue
+            nearest = MERGE_GATE
+            new, _, _ = inverse(feature, sk, z[i])
+            x0, y0, x1, y1 = extent(feature, new)
+            box = (x0 - MERGE_REACH, y0 - MERGE_REACH, x1 + MERGE_REACH, y1 + MERGE_REACH)
+            for c in range(search(pool, roots[k], depth, counts[k], box, 0.0, stack, found)):
+                b = found[c]
+                if b == a or _takes_part(elder[k], younger[k], b):
+                    continue
+                row_b, Sigma_b = _entry(pool, roots[k], depth, b)
+                if not _may_be_of(feature, row_b, Sigma_b, sk, Pk, z[i], Ri, model, gate):
+                    continue
+                first, Sigma_1, second, Sigma_2 = row_a, Sigma_a, row_b, Sigma_b
+                if b < a:
+                    first, Sigma_1, second, Sigma_2 = row_b, Sigma_b, row_a, Sigma_a
+                d2 = distance(feature, first, Sigma_1, second, Sigma_2, sk, z[i], model)
+                if d2 <= nearest:
+                    nearest = d2
+                    elder[k, i], younger[k, i] = min(a, b), max(a, b)
+                    one, Sigma_one = united(feature, first, Sigma_1, second, Sigma_2)
+                    for m in range(len(one)):
+                        theta[k, i, m] = one[m]
+                    store22(Sigma[k, i], Sigma_one)
+
+
+@inline
+def _takes_part(elder: Any, younger: Any, j: Any) -> Any:
+    """Whether feature j is in a merger already; elder, younger (Z,)."""
+    found = False
+    for i in range(len(elder)):
+        found |= elder[i] == j or younger[i] == j
+    return found
+
+
+@inline
+def _entry(pool: Any, root: Any, depth: Any, j: Any) -> Any:
+    """theta, in a row of the pool, and Sigma of feature j."""
+    row, dim = pool.data[leaf_of(pool, root, depth, j), j & (LEAF - 1)], pool.data.shape[2] - 4
+    return row, ((row[dim], row[dim + 1]), (row[dim + 1], row[dim + 2]))
+
+
+@inline
+def _may_be_of(feature: Any, theta: Any, Sigma: Any, s: Any, P: Any, z: Any, R: Any, model: Any, gate: Any) -> Any:
+    """Whether z is individually compatible (27) with a feature."""
+    if not compatible(feature, theta, s, P, z):
+        return False
+    v, G_s, S = measurement(feature, theta, Sigma, s, P, z, R, model)
+    return distance2(v, add22(sandwich23(G_s, P), S)) <= gate
 
 
 # Weights and resampling ---------------------------------------------------------------------------------------------

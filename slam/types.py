@@ -138,6 +138,12 @@ class Params:
     """[m] Walls: deviation that is allowed to a known wall beside R (ours); new ones are drawn with the honest R."""
     floor_angle: float = math.radians(0.2)
     """[rad] The same of its angle."""
+    merge_walls: bool = False
+    """Walls, unknown association (ours): two walls of a particle's map become one where a piece that is seen lies along
+    both, no end that was seen is between them, and the floors allow it.  Not for EKF-SLAM."""
+    most_new: int = 0
+    """Walls (ours): so many new ones at the most from one scan, in each particle: those whose angle is known best.  The
+    others are ignored.  0 is no limit."""
     orthogonal: bool = False
     """EKF-SLAM on walls: a new wall that may be parallel or at right angles to the first one is made so."""
     matching: MatchingName = "off"
@@ -190,7 +196,8 @@ class Trace(NamedTuple):
     resampled: Particles
     """The particles that the step returned (`app` calls them so whether or not there was a resampling)."""
     n: Ints
-    """(K, Z) correspondences: index of the feature in the particle's own map, NEW or IGNORED."""
+    """(K, Z) correspondences: index of the feature in the particle's own map, NEW or IGNORED.  Of a feature that this
+    step merged into another one it is the index of that other one."""
     log_likelihood: Floats
     """(K, Z) what each observation added to the log weight (tempered); unmatched ones that of a miss (EKF-SLAM: 0)."""
     innovations: Innovations
@@ -204,6 +211,9 @@ class Trace(NamedTuple):
     """(K',) for each particle of `resampled` its index in `weighted`."""
     events: tuple[str, ...] = ()
     """Sentences on what went wrong or is worth knowing, such as impossible weights."""
+    merged: Ints | None = None
+    """(K, Z) index of the feature that was merged into the one that an observation is paired with, or NEW for none.
+    That index is nobody's from then on.  None where features are not merged."""
 
     @property
     def ancestors(self) -> Ints:

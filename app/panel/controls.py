@@ -163,6 +163,20 @@ def filter_controls(source: Source) -> list[Control]:
             Number("floor_lateral", "floor, lateral [m]", "Deviation that a known wall is allowed.", 0.0, 0.5, 0.005),
             Number("floor_angle", "floor, angle [°]", "The same of its angle.", 0.0, 5.0, 0.05, DEGREE),
             Switch(
+                "merge_walls",
+                "merge walls",
+                "Two walls of a map become one where what is seen lies along both; unknown association, not EKF-SLAM.",
+            ),
+            Number(
+                "most_new",
+                "most new",
+                "So many new walls at the most from one scan, the best ones; 0 is no limit.",
+                0,
+                100,
+                1,
+                slider=False,
+            ),
+            Switch(
                 "orthogonal", "right angles", "EKF-SLAM: walls that may be parallel or at right angles are made so."
             ),
         ]

@@ -171,7 +171,7 @@ def described(pick: Pick) -> str:
         f"- pose {x:.3f} m, {y:.3f} m, {math.degrees(heading):.2f}°",
         f"- {_deviations(p.P[k])}",
         f"- weight times K: {weight:.3g}",
-        f"- {int(p.maps.counts[k])} features in its map",
+        f"- {len(p.maps.indices(k))} features in its map",
         f"- {_future(pick)}",
         f"- founder {founder}: {kin} of {living} living particles descend from it",
     ]

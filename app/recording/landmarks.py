@@ -57,9 +57,9 @@ def beside_particles(p: Particles, best: int, style: Style) -> list[Any]:
 
 
 def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) -> dict[str, list[Any]]:
-    """Of a frame that a particle sees from s (3,): what is paired, by n (Z,), with which of its features theta."""
+    """Of a frame that a particle sees from s (3,): what is paired, n (Z,), and with what, its features theta (Z, 2)."""
     paired = n >= 0
-    return {"associations": scene.associations(seen(frame, s)[paired], theta[n[paired]], style)}
+    return {"associations": scene.associations(seen(frame, s)[paired], theta[paired], style)}
 
 
 def best_map(theta: Floats, Sigma: Floats, style: Style) -> dict[str, list[Any]]:

@@ -72,15 +72,15 @@ def scan(frame: Frame, s: Floats, lift: float) -> list[Any]:
 
 
 def observations(frame: Frame, s: Floats, n: Ints, theta: Floats, style: Style) -> dict[str, list[Any]]:
-    """Of a frame that a particle sees from s (3,): the pieces, and what is paired, by n (Z,), with which of its walls.
+    """Of a frame that a particle sees from s (3,): the pieces, and what is paired, n (Z,), with its walls theta (Z, 8).
 
-    The other end of an association is the point of the wall theta (., 8) that is nearest to the centroid of the piece.
+    The other end of an association is the point of the wall that is nearest to the centroid of the piece.
     """
     frames = compose(s, frame.z[:, :3])
     pieces = ends(np.concatenate([frames, frame.z[:, 3:5]], axis=1))
     rgb = np.where(n == NEW, 1, np.where(n == IGNORED, 2, 0))
     colour = arrow.colours(np.array([colours.MATCHED, colours.NEW, colours.REJECTED])[rgb])
-    centroids, walls = frames[n >= 0, :2], theta[n[n >= 0]]
+    centroids, walls = frames[n >= 0, :2], theta[n >= 0]
     axis = np.stack([np.cos(walls[:, 2]), np.sin(walls[:, 2])], axis=1)
     along = np.clip(np.sum(axis * (centroids - walls[:, :2]), axis=1), walls[:, 3], walls[:, 4])
     return {

@@ -361,8 +361,9 @@ class Writer:
     def _write_observations(self, key: str, update: FilterUpdate, frame: Frame) -> None:
         """What the best particle sees, and what it takes it for."""
         best, weighted = int(update.measures.best), update.trace.weighted
-        theta, _, _ = weighted.maps.features(best)
-        seen = self._features.observations(frame, weighted.s[best], update.trace.n[best], theta, self._styles[key])
+        n = update.trace.n[best]
+        theta, _ = weighted.maps.select(np.array([best])).take(n[None])
+        seen = self._features.observations(frame, weighted.s[best], n, theta[0], self._styles[key])
         for entity, what in seen.items():
             self._stream.log(f"world/{key}/{entity}", *what)
 

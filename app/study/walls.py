@@ -35,6 +35,10 @@ class Tuning:
     """Deviation that a known wall is allowed, added to R."""
     floor_angle: Annotated[float | None, values.real("--floor-angle", "DEG", PARAMS["floor_angle"]), _OWN] = None
     """The same of its angle."""
+    merge_walls: bool = False
+    """Unknown association: two walls of a particle's map become one where something seen lies along both."""
+    most_new: Annotated[int | None, values.whole("--most-new", "N", PARAMS["most_new"]), _OWN] = None
+    """So many new walls at the most from one scan, the best ones; 0 is no limit."""
 
 
 @dataclass(frozen=True)

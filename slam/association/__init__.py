@@ -7,7 +7,7 @@ once; `jcbb` takes the largest jointly compatible set.
 
 What is left unpaired is of something new - or it is the one in a hundred that a gate of 99 % rejects, and would make a
 duplicate of a feature that is there (ours): within the wider `gate_new` of a feature that no other observation was
-paired with it is ignored.
+paired with it is ignored.  One scan may add no more than the `most_new` walls that it shows best (ours).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slam._jit import inline, kernel
 from slam.association.jcbb import MAX_NODES, chi_square_gates, joint_compatibility, workspace
 from slam.association.nearest import nearest_first, slot_for
-from slam.features import compatible, measurement, region
+from slam.features import Wall, compatible, measurement, region
 from slam.linalg import add22, cross23, distance2, load3, load22, load33, sandwich23
 from slam.map_store import FAN, LEAF, Maps, leaf_of, search
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, ObservationNoise, Params, Particles
@@ -40,7 +40,24 @@ def associate(particles: Particles, frame: Frame, R: ObservationNoise, params: P
     """
     n = _associated(particles, frame, R, params)
     n[:, ~np.isfinite(frame.z).all(axis=1)] = IGNORED
+    limit_new(n, frame, R, params)
     return n
+
+
+def limit_new(n: Ints, frame: Frame, R: ObservationNoise, params: Params) -> None:
+    """Of the NEW walls in each row of n (K, Z) all but the best `most_new` become IGNORED, in place.
+
+    The best are those whose angle is known best: its variance, that of the noise about the line over the sum of squares
+    along it, is small for what is long, has many beams and is straight, and a wrong angle is what a wall is wrong with
+    far from where it was made.
+    """
+    if params.most_new == 0 or type(frame.feature) is not Wall:
+        return
+    best_first = np.argsort(R.sensor[:, 1, 1], kind="stable")
+    new = n[:, best_first] == NEW
+    rank = np.empty_like(n)
+    rank[:, best_first] = np.cumsum(new, axis=1)
+    n[(n == NEW) & (rank > params.most_new)] = IGNORED
 
 
 def _associated(particles: Particles, frame: Frame, R: ObservationNoise, params: Params) -> Ints:

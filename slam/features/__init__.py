@@ -21,10 +21,18 @@ mathematics to use.  It has these static functions over scalars and tuples (plai
                                         metre of its deviation (`spread`): no compatible feature outside has a distance
                                         (25) <= reach^2
 
+and, where `merges` is true, two of a kind of feature that may turn out to be one:
+
+    distance(feature, theta, Sigma, other, Sigma_other, s, z, model)
+                                     -> squared, of the other from theta beside z, that may be of both; infinite where
+                                        something that was seen says that they are two
+    united(feature, theta, Sigma, other, Sigma_other)
+                                     -> theta, Sigma of the two as one, in the frame of the first
+
 `v = z - g(s, theta)` (23), with G_s = dg/ds and G_theta = dg/dtheta (24); F_s and F_z are those of (35).  The two
 columns of G_theta and rows of F_s are the coordinates that `Sigma` and `draw` speak of: for a point (x, y), for a wall
 its lateral offset and its angle.  Class attributes: `dim` = D numbers that describe a feature, `observation` = d
-numbers of one observation, `grows` = whether `extend` does anything; and
+numbers of one observation, `grows` = whether `extend` does anything, `merges`; and
 believed(z (Z, d), params) -> `ObservationNoise`, the honest one; of_known(R, params) -> that for known features.
 """
 
@@ -44,6 +52,7 @@ __all__ = [
     "Wall",
     "compatible",
     "displacement",
+    "distance",
     "draw",
     "extend",
     "extent",
@@ -54,6 +63,7 @@ __all__ = [
     "region",
     "spread",
     "total",
+    "united",
 ]
 
 
@@ -112,6 +122,16 @@ def region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any)
     return type(feature).region(feature, s, P, z, R, model, reach)
 
 
+def distance(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any, s: Any, z: Any, model: Any) -> Any:
+    """The squared distance of two features beside z, that may be of both; infinite where they are two."""
+    return type(feature).distance(feature, theta, Sigma, other, Sigma_other, s, z, model)
+
+
+def united(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any) -> Any:
+    """theta and Sigma of two features that are one, in the frame of the first."""
+    return type(feature).united(feature, theta, Sigma, other, Sigma_other)
+
+
 @overload(innovation)
 def _innovation(feature: Any, theta: Any, s: Any, z: Any) -> Any:
     return feature.instance_class.innovation
@@ -165,6 +185,16 @@ def _extend(feature: Any, theta: Any, s: Any, z: Any) -> Any:
 @overload(region)
 def _region(feature: Any, s: Any, P: Any, z: Any, R: Any, model: Any, reach: Any) -> Any:
     return feature.instance_class.region
+
+
+@overload(distance)
+def _distance(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any, s: Any, z: Any, model: Any) -> Any:
+    return feature.instance_class.distance
+
+
+@overload(united)
+def _united(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any) -> Any:
+    return feature.instance_class.united
 
 
 @inline

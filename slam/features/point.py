@@ -32,6 +32,7 @@ class Point(NamedTuple):
     dim = 2
     observation = 2
     grows = False
+    merges = False
 
     @staticmethod
     def believed(z: Floats, params: Params) -> ObservationNoise:

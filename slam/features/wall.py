@@ -19,7 +19,16 @@ import numpy as np
 from numba.extending import register_jitable
 
 from slam.geometry import wrap
-from slam.linalg import add22, dot3, largest_eigenvalue22, sandwich22, times33
+from slam.linalg import (
+    add22,
+    determinant22,
+    distance2,
+    dot3,
+    kalman_feature,
+    largest_eigenvalue22,
+    sandwich22,
+    times33,
+)
 from slam.types import Floats, ObservationNoise, Params
 
 HIDDEN, OUT_OF_REACH, EDGE, CORNER = 0, 1, 2, 3
@@ -31,6 +40,9 @@ STRAIGHT = (0.005, math.radians(0.05))
 
 LEVER = 20.0
 """[m] of a wall over which the error of its angle counts."""
+
+FLUSH = 0.1
+"""[m] Walls that stand farther apart are two, whatever else is allowed to them: a closed door, a shelf (ours)."""
 
 SAME_END = 0.3
 """[m] within which an end that was seen is the end that the map has."""
@@ -56,6 +68,35 @@ def _told(P: Any, R: Any) -> Any:
     return P[2][2] / (P[2][2] + R[1][1]) if P[2][2] > 0.0 else 0.0
 
 
+@register_jitable
+def stretch(theta: Any, place: Any, a: Any, b: Any) -> Any:
+    """From where to where [m] along the axis of a wall a piece reaches that has its ends a, b in the frame `place`."""
+    middle = math.cos(theta[2]) * (place[0] - theta[0]) + math.sin(theta[2]) * (place[1] - theta[1])
+    turned = math.cos(place[2] - theta[2])
+    return middle + min(turned * a, turned * b), middle + max(turned * a, turned * b)
+
+
+@register_jitable
+def _lies_along(theta: Any, place: Any, z: Any) -> Any:
+    """Whether a piece z with its frame at `place` has `SAME_END` or more of its length in common with a wall."""
+    low, high = stretch(theta, place, z[3], z[4])
+    return min(high, theta[4]) - max(low, theta[3]) >= SAME_END
+
+
+@register_jitable
+def _across(theta: Any, x: Any, y: Any) -> Any:
+    """How far [m] the point (x, y) is along the axis of a wall, and how far to the left of it."""
+    c, q = math.cos(theta[2]), math.sin(theta[2])
+    dx, dy = x - theta[0], y - theta[1]
+    return c * dx + q * dy, c * dy - q * dx
+
+
+@register_jitable
+def _lever(t: Any) -> Any:
+    """What the lateral offset and the angle of a wall are, t along it, by those at its origin."""
+    return (1.0, t), (0.0, 1.0)
+
+
 class Wall(NamedTuple):
     """State theta (8,) and observation z (11,).
 
@@ -74,6 +115,7 @@ class Wall(NamedTuple):
     dim = 8
     observation = 11
     grows = True
+    merges = True
 
     @staticmethod
     def believed(z: Floats, params: Params) -> ObservationNoise:
@@ -195,6 +237,56 @@ class Wall(NamedTuple):
             b = max(b, t + turned * z[4])
             end_b = 1.0 if z[8] >= EDGE and b - t - turned * z[4] <= SAME_END else 0.0
         return (theta[0], theta[1], theta[2], a, b, end_a, end_b, theta[7] + 1.0)
+
+    @staticmethod
+    def distance(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any, s: Any, z: Any, model: Any) -> Any:
+        """Of the other wall's lateral offset and angle in the frame of the first, beside the piece (ours).
+
+        Each wall may be as wrong as `model` and its Sigma say, seen from where along it the piece is.  Infinite unless
+        the piece lies along both, they are flush there, and neither goes on beyond an end of the other one that was
+        seen: a piece that reaches across a door does not make one wall of two.
+        """
+        px, py = _placed(s, z[0], z[1])
+        place = (px, py, s[2] + z[2])
+        if not (_lies_along(theta, place, z) and _lies_along(other, place, z)):
+            return math.inf
+        a, b = stretch(theta, other, other[3], other[4])
+        before, beyond = theta[3] - a, b - theta[4]  # how far the other one goes on beyond the first
+        if (theta[5] > 0.0 and before > SAME_END) or (other[5] > 0.0 and -before > SAME_END):
+            return math.inf
+        if (theta[6] > 0.0 and beyond > SAME_END) or (other[6] > 0.0 and -beyond > SAME_END):
+            return math.inf
+        t, _ = _across(other, px, py)
+        x, y = other[0] + t * math.cos(other[2]), other[1] + t * math.sin(other[2])
+        along, lateral = _across(theta, x, y)
+        if abs(lateral) > FLUSH:
+            return math.inf
+        V = add22(sandwich22(_lever(along), Sigma), sandwich22(_lever(t), Sigma_other))
+        V = add22(V, sandwich22(_lever(min(max(along, -LEVER), LEVER)), model))
+        V = add22(V, sandwich22(_lever(min(max(t, -LEVER), LEVER)), model))
+        return distance2((lateral, wrap(other[2] - theta[2])), V)
+
+    @staticmethod
+    def united(feature: Any, theta: Any, Sigma: Any, other: Any, Sigma_other: Any) -> Any:
+        """The product of their Gaussians, from the end of one to the end of the other, seen as often as both (ours).
+
+        A frozen wall (Sigma = 0) stays where it is: the pose and all later walls of its particle lean on it.
+        """
+        t, _ = _across(other, theta[0], theta[1])
+        x, y = other[0] + t * math.cos(other[2]), other[1] + t * math.sin(other[2])
+        _, lateral = _across(theta, x, y)
+        R = sandwich22(_lever(t), Sigma_other)
+        V = add22(Sigma, R)
+        delta, fused = (0.0, 0.0), Sigma
+        if determinant22(V) > 0.0:
+            v = (lateral, wrap(other[2] - theta[2]))
+            delta, fused = kalman_feature(Sigma, v, ((1.0, 0.0), (0.0, 1.0)), R, V)
+        x, y = theta[0] - math.sin(theta[2]) * delta[0], theta[1] + math.cos(theta[2]) * delta[0]
+        a, b = stretch(theta, other, other[3], other[4])
+        a = theta[3] if theta[5] > 0.0 else min(theta[3], a)
+        b = theta[4] if theta[6] > 0.0 else max(theta[4], b)
+        end_a, end_b = max(theta[5], other[5]), max(theta[6], other[6])
+        return (x, y, wrap(theta[2] + delta[1]), a, b, end_a, end_b, theta[7] + other[7]), fused
 
     @staticmethod
     def extent(feature: Any, theta: Any) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slam._jit import inline, kernel
 from slam.alignment import align_to_lines
-from slam.features.wall import ends
+from slam.features.wall import ends, stretch
 from slam.geometry import compose
 from slam.scores.tags import known_pairs
 from slam.types import UNKNOWN_TAG, Bools, Floats, Ints
@@ -66,14 +66,6 @@ def _rms_offset(from_line: Floats, normal: Floats) -> float:
     return math.sqrt(float(np.mean(np.sum(from_line * normal, axis=1) ** 2)))
 
 
-@inline
-def _reach(theta: Any, place: Any, a: Any, b: Any) -> Any:
-    """From where to where [m] along the axis of a wall a piece reaches that has its ends a, b in the frame `place`."""
-    middle = math.cos(theta[2]) * (place[0] - theta[0]) + math.sin(theta[2]) * (place[1] - theta[1])
-    turned = math.cos(place[2] - theta[2])
-    return middle + min(turned * a, turned * b), middle + max(turned * a, turned * b)
-
-
 @kernel
 def _covered(theta: Any, tags: Any, order: Any, reaches: Any) -> Any:
     """`order` (n,) brings equal tags together, earlier features first; `reaches` (n, 2) is work space."""
@@ -85,7 +77,7 @@ def _covered(theta: Any, tags: Any, order: Any, reaches: Any) -> Any:
             other = theta[order[i]]
             if tags[order[i]] != tags[order[j]] or tags[order[j]] == UNKNOWN_TAG:
                 break
-            low, high = _reach(wall, other, other[3], other[4])
+            low, high = stretch(wall, other, other[3], other[4])
             reaches[M, 0], reaches[M, 1] = max(low, wall[3]), min(high, wall[4])
             if reaches[M, 1] - reaches[M, 0] >= COVERED * min(length, other[4] - other[3]):
                 found = True
@@ -124,7 +116,7 @@ def _held(theta: Any, map_tags: Any, places: Any, z: Any, tags: Any, slack: Any,
     for i in range(len(tags)):
         for j in range(len(map_tags)):
             if map_tags[j] == tags[i]:
-                low, high = _reach(theta[j], places[i], z[i, 3], z[i, 4])
+                low, high = stretch(theta[j], places[i], z[i, 3], z[i, 4])
                 if low - theta[j, 4] <= slack and theta[j, 3] - high <= slack:
                     found[i] = True
                     break

@@ -103,6 +103,10 @@ BAD = [
     (["run", "loop", "--features", "landmarks", "--floor-lateral", "1"], ["--floor-lateral does not apply to loop"]),
     (["run", "paper-line", "--floor-angle", "1"], ["--floor-angle does not apply to paper-line", "for walls"]),
     (["run", "field", "--filters", "ekf", "--orthogonal"], ["--orthogonal does not apply to field", "for walls"]),
+    (["run", "field", "--merge-walls"], ["--merge-walls does not apply to field", "for walls"]),
+    (["run", "field", "--most-new", "2"], ["--most-new does not apply to field", "for walls"]),
+    (["run", "loop", "--most-new", "-1"], ["--most-new is -1", "between 0 and 1000000"]),
+    (["run", "loop", "--merge-walls", "--filters", "ekf"], ["--merge-walls does not apply to EKF-SLAM", "dfs, fs2 or"]),
     (["run", "loop", "--orthogonal"], ["--orthogonal does not apply to these filters", "expected ekf in --filters"]),
     (["run", "loop", "--noise.range", "-0.1"], ["--noise.range is -0.1", "between 0 and 1000000"]),
     (["run", "field", "--noise.bearing", "0"], ["--noise.bearing is 0", "expected --believed.bearing"]),
@@ -260,12 +264,14 @@ def test_options_reach_the_parameters():
         resampler="residual",
         resample_below=0.5,
     )
-    line = "run loop --floor-lateral 0.01 --floor-angle 0.3 --orthogonal --matching on --filters ekf"
+    line = """run loop --floor-lateral 0.01 --floor-angle 0.3 --merge-walls --most-new 2 --orthogonal --matching on
+    --filters ekf dfs"""
     command, _ = command_line.parse(line.split())
     source = build("loop")
     _, params = parameters(source, command.filter, command.noise, command.believed)
+    kept = {"merge_walls": True, "most_new": 2, "orthogonal": True, "matching": "on"}
     floors = {"floor_lateral": 0.01, "floor_angle": math.radians(0.3)}
-    assert params == dataclasses.replace(source.params(), **floors, orthogonal=True, matching="on")
+    assert params == dataclasses.replace(source.params(), **floors, **kept)
 
 
 def test_what_is_not_given_is_the_worlds_own():

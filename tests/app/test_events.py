@@ -73,9 +73,32 @@ def test_a_wrong_match_closes_no_loop():
 )
 def test_which_matches_are_right(seen: list[int], of_map: list[int], right: list[bool]):
     """The first is taken for feature 2, the second is new, the third is taken for feature 0."""
-    maps = SimpleNamespace(features=lambda k: (None, None, np.array(of_map)))
+    maps = SimpleNamespace(tags=lambda k: np.array(of_map))
     trace = SimpleNamespace(n=np.array([[IGNORED] * 3, [2, NEW, 0]]), weighted=SimpleNamespace(maps=maps))
     assert right_matches(trace, np.array(seen), 1).tolist() == right  # type: ignore[arg-type]
+
+
+def test_merged_walls_are_told_when_it_begins():
+    """Of the best map; and not again at every step, as long as it goes on."""
+    source = build("corridor")
+    info = session.make_info(
+        source, [ESTIMATORS["dfs"]], source.params(particles=2, merge_walls=True), seed=1, count=40
+    )
+    watch, said = Watch({"dfs": "Dual FastSLAM"}), []
+    for step in session.steps(info):
+        update = step.filters["dfs"]
+        rows = np.full(update.trace.n.shape, NEW)
+        rows[
+            1 - update.measures.best if step.index < 5 else update.measures.best, : 2 if step.index in (5, 30) else 0
+        ] = 3
+        if step.index in (6, 7, 14):
+            rows[update.measures.best, 0] = 3
+        trace = update.trace._replace(merged=rows)
+        step = dataclasses.replace(step, filters={"dfs": update._replace(trace=trace)})
+        said += [(step.index, event) for event in watch.step(step) if event.kind == "merged"]
+    assert [index for index, _ in said] == [5, 30]
+    assert said[0][1].level == "INFO"
+    assert said[0][1].text.startswith("Dual FastSLAM merged 2 walls of its best map with older ones")
 
 
 @pytest.mark.parametrize(("world", "walls"), [("paper-line", False), ("corridor", True)])

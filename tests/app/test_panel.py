@@ -103,6 +103,8 @@ def test_every_parameter_that_may_change_has_a_control(points):
     assert {c.name for c in filter_controls(points)} == names - {
         "floor_lateral",
         "floor_angle",
+        "merge_walls",
+        "most_new",
         "orthogonal",
         "matching",
     }

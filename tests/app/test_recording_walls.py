@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from app.recording.limits import limits_for
 from app.recording.reading import Recording
 from app.recording.scene import Style
 from app.scans import returns
-from app.types import SessionInfo, SessionStep
+from app.trajectory import Trajectory
+from app.types import SessionInfo, SessionStep, best_descendant
 from scenarios.registry import build
 from scenarios.types import TrueMap
 from slam.estimators import ESTIMATORS
@@ -216,7 +218,7 @@ def test_an_association_ends_where_the_wall_does():
     z = np.zeros((2, 11))
     z[:, :3] = [[0.1, 2.5, math.pi / 2], [-0.2, 1.0, math.pi / 2]]
     frame = build("corridor").steps[0].frame._replace(z=z)
-    drawn = walls.observations(frame, np.zeros(3), np.array([0, 0]), wall, ORANGE)["associations"][0]
+    drawn = walls.observations(frame, np.zeros(3), np.array([0, 0]), wall[[0, 0]], ORANGE)["associations"][0]
     ends = np.array(drawn.strips.as_arrow_array().to_pylist())[:, 1, :2]
     np.testing.assert_allclose(ends, [[0.0, 2.0], [0.0, 1.0]], atol=1e-6)
 
@@ -270,6 +272,35 @@ def test_all_maps_have_every_wall_of_every_particle_once(recorded, key):
         assert len(found) == len(every)
         np.testing.assert_allclose(found[np.lexsort(found.T)], expected[np.lexsort(expected.T)], atol=1e-5)
     assert len(every) < maps.counts.sum() or key == "ekf"
+
+
+def test_a_wall_that_was_merged_is_drawn_no_more(tmp_path):
+    """Copies are made with small floors and a narrow gate; then they are merged.  Event, pictures, and files agree."""
+    source, merge = build("corridor"), 16
+    copying = {"temper": 1.0, "inflate_r": 1.0, "gate": 0.9, "gate_new": 0.0, "floor_lateral": 1e-3}
+    params = source.params(particles=5, floor_angle=5e-4, **copying)
+    info = session.make_info(source, [ESTIMATORS["dfs"]], params, seed=1, count=18)
+    path, watch, files = tmp_path / "merged.rrd", Watch(), Trajectory(tmp_path / "files")
+    change = session.Change(merge, source.params(particles=5, merge_walls=True))
+    session.run(info, [Recorder(path), watch, files], [change])
+    update = watch.steps[merge - 1].filters["dfs"]
+    maps, best = update.trace.weighted.maps, update.measures.best
+    assert len(maps.indices(best)) < maps.counts[best]
+    recording = Recording(path)
+    assert [event.step for event in recording.events() if "merged a wall of its best map" in event.text] == [merge]
+    drawn = strips(recording, "/world/dfs/map")[merge]
+    assert len(drawn) == len(maps.indices(best)) == update.measures.features
+    every = {tuple(two_ends(*wall[:5])[0]) for k in range(len(maps)) for wall in maps.features(k)[0]}
+    assert {tuple(np.float32(wall[0])) for wall in strips(recording, "/world/dfs/maps")[merge]} == {
+        tuple(np.float32(end)) for end in every
+    }
+    assert len(strips(recording, "/world/dfs/associations")[merge]) == int((update.trace.n[best] >= 0).sum()) > 0
+    last = watch.steps[-1].filters["dfs"]
+    shapes = json.loads((tmp_path / "files" / "dfs.geojson").read_text())["features"]
+    walls_of_map = [shape for shape in shapes if "observations" in shape["properties"]]
+    kept = last.trace.resampled.maps.indices(best_descendant(last))
+    assert [shape["properties"]["index"] for shape in walls_of_map] == kept.tolist()
+    assert kept[-1] >= len(kept)
 
 
 def test_of_many_walls_no_more_than_allowed_are_drawn():

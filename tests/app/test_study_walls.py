@@ -47,7 +47,7 @@ def update_of(n, births, best=0, wrong=(), error=0.1, resized=(0, 1), selected=(
     """A step in which every wall is taken for the feature that was born of it, but those in `wrong`."""
     tags = np.array(n[best], np.int64)
     tags[list(wrong)] += 100
-    maps = SimpleNamespace(counts=np.array(births), features=lambda k: (None, None, np.arange(births[k])))
+    maps = SimpleNamespace(counts=np.array(births), tags=lambda k: np.arange(births[k]))
     trace = SimpleNamespace(
         n=np.array(n),
         frame_tags=tags,

@@ -101,7 +101,7 @@ def test_geojson(written):
 def test_geojson_of_walls_says_what_was_seen_of_them():
     theta = np.array([[5.0, 1.0, math.pi / 2, -2.0, 3.0, 0.0, 1.0, 17.0], [0.0, 0.0, 0.0, -1.0, 1.0, 1.0, 0.0, 1.0]])
     Sigma = np.tile(np.diag([0.04, 0.0001]), (2, 1, 1))
-    text = geojson("A filter", np.zeros((2, 3)), Wall(), theta, Sigma, np.array([7, -1]))
+    text = geojson("A filter", np.zeros((2, 3)), Wall(), theta, Sigma, np.array([7, -1]), np.array([0, 3]))
     _, first, second = json.loads(text)["features"]
     assert first["geometry"]["coordinates"] == [[5.0, -1.0], [5.0, 4.0]]
     assert first["properties"] == {
@@ -116,12 +116,12 @@ def test_geojson_of_walls_says_what_was_seen_of_them():
         "angle_deviation_rad": 0.01,
     }
     assert (second["properties"]["start_seen"], second["properties"]["end_seen"]) == (True, False)
-    assert second["properties"]["tag"] is None
+    assert (second["properties"]["index"], second["properties"]["tag"]) == (3, None)
 
 
 def test_an_unknown_tag_is_null():
     nothing = np.zeros((1, 2)), np.zeros((1, 2, 2))
-    collection = json.loads(geojson("x", np.zeros((2, 3)), Point(), *nothing, np.array([-1])))
+    collection = json.loads(geojson("x", np.zeros((2, 3)), Point(), *nothing, np.array([-1]), np.array([0])))
     assert collection["features"][1]["properties"]["tag"] is None
 
 

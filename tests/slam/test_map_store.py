@@ -52,7 +52,7 @@ def _no_cached_kernels() -> Iterator[None]:
 # The naive store ----------------------------------------------------------------------------------------------------
 
 Map = dict[str, list[Any]]
-"""Lists of equal length: theta, Sigma, tag.  Never changed, only copied."""
+"""Lists of equal length: theta, Sigma, tag, None for a tag of what was removed.  Never changed, only copied."""
 
 
 class Naive(NamedTuple):
@@ -71,6 +71,13 @@ class Naive(NamedTuple):
                 if j >= 0:
                     new["theta"][j], new["Sigma"][j] = theta[k, i].copy(), Sigma[k, i].copy()
             out.append(new)
+        return Naive(out)
+
+    def remove(self, n: Ints) -> Naive:
+        out = []
+        for k, old in enumerate(self.maps):
+            gone = {int(j) for j in n[k] if j >= 0}
+            out.append({**old, "tag": [None if j in gone else tag for j, tag in enumerate(old["tag"])]})
         return Naive(out)
 
     def append(self, wanted: Any, theta: Floats, Sigma: Floats, tags: Ints) -> Naive:
@@ -103,12 +110,15 @@ def assert_same(maps: Maps, model: Naive) -> None:
     np.testing.assert_array_equal(maps.counts, [len(m["tag"]) for m in model.maps])
     for k, m in enumerate(model.maps):
         theta, Sigma, tags = maps.features(k)
-        assert theta.shape == (len(m["tag"]), maps.store.dim)
-        assert Sigma.shape == (len(m["tag"]), 2, 2)
-        if m["tag"]:
-            np.testing.assert_array_equal(theta, m["theta"])
-            np.testing.assert_array_equal(Sigma, m["Sigma"])
-        np.testing.assert_array_equal(tags, m["tag"])
+        there = [j for j, tag in enumerate(m["tag"]) if tag is not None]
+        assert theta.shape == (len(there), maps.store.dim)
+        assert Sigma.shape == (len(there), 2, 2)
+        if there:
+            np.testing.assert_array_equal(theta, [m["theta"][j] for j in there])
+            np.testing.assert_array_equal(Sigma, [m["Sigma"][j] for j in there])
+        np.testing.assert_array_equal(tags, [m["tag"][j] for j in there])
+        np.testing.assert_array_equal(maps.indices(k), there)
+        np.testing.assert_array_equal(maps.tags(k), [UNKNOWN_TAG if tag is None else tag for tag in m["tag"]])
 
 
 def values(rng: np.random.Generator, K: int, Z: int, dim: int) -> tuple[Floats, Floats]:
@@ -149,7 +159,9 @@ def test_random_operations(kind: Any, seed: int) -> None:
     collections, pool, most = 0, maps.store.pool, 0
     for step in range(1000):
         K, Z = len(maps), int(rng.integers(1, 7))
-        what = rng.choice(["append", "replace", "select", "find", "take"], p=[0.35, 0.3, 0.15, 0.1, 0.1])
+        what = rng.choice(
+            ["append", "replace", "remove", "select", "find", "take"], p=[0.35, 0.25, 0.05, 0.15, 0.1, 0.1]
+        )
         if what == "append":
             Z = int(rng.integers(1, 40)) if rng.random() < 0.05 else Z
             wanted = rng.random((K, Z)) < rng.choice([0.1, 0.5, 1.0])
@@ -159,6 +171,9 @@ def test_random_operations(kind: Any, seed: int) -> None:
         elif what == "replace":
             n, (theta, Sigma) = correspondences(rng, maps.counts, Z), values(rng, K, Z, maps.store.dim)
             maps, model = maps.replace(n, theta, Sigma), model.replace(n, theta, Sigma)
+        elif what == "remove":
+            n = correspondences(rng, maps.counts, Z)
+            maps, model = maps.remove(n), model.remove(n)
         elif what == "select":
             ancestors = rng.integers(0, K, rng.integers(1, 9))
             maps, model = maps.select(ancestors), model.select(ancestors)

@@ -223,12 +223,21 @@ class StandInMaps(NamedTuple):
     best: int
     counts: np.ndarray
     theta: np.ndarray
-    tags: np.ndarray
+    of_index: np.ndarray
+    removed: tuple[int, ...] = ()
+
+    def indices(self, k):
+        assert k == self.best
+        return np.setdiff1d(np.arange(self.counts[k]), self.removed)
+
+    def tags(self, k):
+        tags = self.of_index[: self.counts[k]].copy()
+        tags[list(self.removed)] = UNKNOWN_TAG
+        return tags
 
     def features(self, k):
-        assert k == self.best
-        size = self.counts[k]
-        return self.theta[:size], np.zeros((size, 2, 2)), self.tags[:size]
+        n = self.indices(k)
+        return self.theta[n], np.zeros((len(n), 2, 2)), self.of_index[n]
 
 
 class TrueMap(NamedTuple):
@@ -273,6 +282,18 @@ def test_measure_by_hand():
     assert (m.correct, m.wrong, m.missed) == (2, 1, 1)
     assert m.map_error_unaligned_m == pytest.approx(math.sqrt((0.25 + 0.25) / 5))
     assert m.map_error_m < m.map_error_unaligned_m
+
+
+def test_what_was_removed_counts_for_nothing():
+    """Without the second 10, which was there before the step: no duplicate, and correspondences as they were."""
+    trace, frame = one_step()
+    maps = trace.weighted.maps._replace(removed=(2,))
+    m = measure(
+        trace._replace(weighted=trace.weighted._replace(maps=maps)), frame, None, TrueMap(TRUE_TAGS, TRUE_THETA)
+    )
+    assert (m.features, m.duplicates) == (4, 1.0)
+    assert (m.correct, m.wrong, m.missed) == (2, 1, 1)
+    assert m.map_error_unaligned_m == pytest.approx(math.sqrt(0.25 / 4))
 
 
 def test_measure_of_walls():
