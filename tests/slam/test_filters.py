@@ -73,9 +73,7 @@ def contents(value: Any) -> list[bytes]:
 
 def assert_sound(value: Any) -> None:
     """Finite; headings in [-pi, pi); covariances symmetric and positive semidefinite."""
-    known = (
-        value._replace(innovations=()) if isinstance(value, Trace) else value
-    )  # they are NaN where nothing is matched
+    known = value._replace(innovations=()) if isinstance(value, Trace) else value  # NaN where nothing is matched
     for array in arrays(known):
         assert not np.isnan(array).any()
     for particles in (value.predicted, value.weighted, value.resampled) if isinstance(value, Trace) else (value,):
