@@ -16,11 +16,11 @@ from app import colours
 from app.events import Watch
 from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
-from app.recording.ground import Extent, Survey, extent_of, known, observer, surroundings
+from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of, is_charted, known, observer
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
-from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
+from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant, best_path
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
 from slam.geometry import ellipse_axes
@@ -53,9 +53,6 @@ WIDTH, BRANCH_WIDTH = 1.8, 0.9
 """[points] of the lines of a run and of its branches in plots."""
 
 GUIDE: colours.RGB = (140, 140, 140)
-
-CELLS = 500.0
-"""Along the longer side of the map, of what the scans of a log have met: a point for each."""
 
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
@@ -107,8 +104,8 @@ class Writer:
         extent = extent_of(info.source, info.steps)
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
-        way_known = any(step.truth is not None for step in info.source.steps[: info.steps])
-        self._survey = None if way_known or info.source.kind == "world" else Survey(extent)
+        self._survey = None if is_charted(info.source, info.steps) else Survey(extent)
+        self._scanned = None if info.source.scans is None else Scanned(info.source)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
@@ -169,7 +166,7 @@ class Writer:
         self._notice(step.filters.keys())
         self._remember(step)
         if self._survey is not None:
-            self._look_at(self._survey.outgrown(step))
+            self._look_at(self._survey.outgrown(estimates(step)))
         if detail != "numbers":
             self._write_pictures(step, stage, now, detail)
 
@@ -376,9 +373,8 @@ class Writer:
                 log(f"world/{key}/{entity}", *what)
         if everything or due(index, steps, limits.paths):
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
-        if picture and self._info.source.scans is not None and key == self._shown.filters[0].key:
-            way = update.genealogy.path(best_descendant(update))[1:]
-            cells = surroundings(self._info.source, way, self._size / CELLS)
+        if picture and self._scanned is not None and key == self._shown.filters[0].key:
+            cells, _ = self._scanned.along(best_path(update))
             log("world/scans", scene.points(cells, scene.SCAN * self._lift))
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
