@@ -54,11 +54,12 @@ class Breaks(NamedTuple):
             return "none of them so far"
         mean, p95, worst = self.off.mean(), np.quantile(self.off, 0.95), int(np.argmax(self.off))
         one, other = self.scans[worst]
-        between = f"worst {_metres(self.off[worst])} m between scans {one} and {other}"
-        return f"mean {_metres(mean)} m, 95 % {_metres(p95)} m, {between}, of {count} so far"
+        between = f"worst {metres(self.off[worst])} m between scans {one} and {other}"
+        return f"mean {metres(mean)} m, 95 % {metres(p95)} m, {between}, of {count} so far"
 
 
-def _metres(length: float) -> str:
+def metres(length: float) -> str:
+    """Three digits of a length [m]."""
     return f"{length:.3g}" if length < 1000.0 else f"{length:.0f}"
 
 

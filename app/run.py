@@ -175,7 +175,8 @@ class Run(SessionOptions):
         if self.output.record is not None:
             from app.recording import Recorder  # so does Rerun
 
-            outputs.append(Output("recording", self.output.record, Recorder(self.output.record)))
+            judge = None if summary.paths is None else summary.paths.breaks
+            outputs.append(Output("recording", self.output.record, Recorder(self.output.record, judge)))
         if self.output.trajectory is not None:
             from app.trajectory import Trajectory
 

@@ -130,7 +130,8 @@ class Workbench:
         host = None if options.viewer == "none" else LiveHost()
         if host is not None:
             stack.callback(host.close)
-            self._publisher = Publisher(SessionWriter(host.open, live=True), "drop", VIEWER_STEPS)
+            to_viewers = SessionWriter(host.open, live=True, judge=self._judge)
+            self._publisher = Publisher(to_viewers, "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
             if options.viewer == "web":
                 viewer = Viewer(host.files, host.origin, host.query)
@@ -139,7 +140,8 @@ class Workbench:
         self.records = Records(
             self.engine,
             options.record.parent if options.record else Path(),
-            lambda path: SessionWriter(partial(FileStream, path, index=False)),  # nobody knows for how long
+            # without an index, since nobody knows for how long
+            lambda path: SessionWriter(partial(FileStream, path, index=False), judge=self._judge),
             check_path,
         )
         if options.record is not None:

@@ -18,7 +18,8 @@ class Judge:
     def __init__(self, relations: Relations, source: Source) -> None:
         self._relations = relations
         self._source = source
-        self._number = -1
+        self._sessions: dict[int, dict[str, PathErrors]] = {}
+        """The branches of the last session, and of that before: a file may still be busy with it."""
         self._branches: dict[str, PathErrors] = {}
 
     def knows(self, info: SessionInfo) -> bool:
@@ -30,7 +31,8 @@ class Judge:
         errors = PathErrors(self._relations)
         errors.begin(begun.info)
         self._branches = {"": errors} if self.knows(begun.info) else {}
-        self._number = begun.number
+        kept = {number: former for number, former in self._sessions.items() if number == begun.number - 1}
+        self._sessions = {**kept, begun.number: self._branches}
 
     def forked(self, forked: Forked) -> None:
         """What is before a branch is its parent's."""
@@ -48,5 +50,5 @@ class Judge:
     def breaks(self, number: int, branch: str, step: SessionStep) -> dict[str, Breaks]:
         """Of odometry, of matching alone and of each filter, as they were after a step of a branch of session `number`;
         empty where nobody can tell."""
-        errors = self._branches.get(branch)
-        return {} if errors is None or number != self._number else errors.breaks(step)
+        errors = self._sessions.get(number, {}).get(branch)
+        return {} if errors is None else errors.breaks(step)

@@ -243,7 +243,7 @@ class FilterLayers(Layers):
         self.map_ellipses = Ellipses(scene, f"{top}/map_ellipses", 0.2, rgb)
         self.bands = Strokes(scene, f"{top}/bands", 1.0, colours.faded(rgb, 0.5))
         self.path = Strokes(scene, f"{top}/path", 1.2 + 0.7 * rank, colours.faded(rgb, 0.1))
-        self.relations = Strokes(scene, f"{top}/relations", 1.0, colours.faded(rgb, 0.25))
+        self.relations = Strokes(scene, f"{top}/relations", 1.0, colours.broken(rgb))
         self._breaks: Breaks | None = None
         self._broken = np.zeros((0, 2, 2))
         """What `relations` has."""

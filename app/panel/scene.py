@@ -19,6 +19,7 @@ import viser
 from app.live.engine import Status
 from app.live.history import Taken
 from app.live.judge import Judge
+from app.pace import Pace
 from app.panel.camera import Cameras, TopCamera
 from app.panel.layers import FilterLayers, GroundLayers, Layers, PickLayers, Shown, View
 from app.panel.nodes import flat_light
@@ -90,8 +91,7 @@ class TopView:
         """Of a log of which nobody knows where it leads."""
         self._scanned: Scanned | None = None
         self._found = NOTHING
-        self._find_at = -math.inf
-        """[s] when there is time to find that again."""
+        self._pace = Pace(DUTY)
         self._status: Status | None = None
         self._drawn: tuple[Any, ...] | None = None
         self._off: frozenset[str] = frozenset()
@@ -349,15 +349,13 @@ class TopView:
         wanted = self._scanned is not None and "scans" not in self._off
         if self._found.taken is taken and (self._found.met is not None or not wanted):
             return False
-        began = monotonic()
-        if status.playing and began < self._find_at:
+        if status.playing and not self._pace.due:
             return False
-        first = next(iter(taken.step.filters.values()), None)
-        met = self._scanned.along(best_path(first)) if self._scanned and wanted and first else None
-        breaks = self._judge.breaks(status.number, status.branch, taken.step) if self._judge else {}
-        self._found = Found(taken, met, breaks)
-        now = monotonic()
-        self._find_at = now + (now - began) * (1.0 / DUTY - 1.0)
+        with self._pace.kept():
+            first = next(iter(taken.step.filters.values()), None)
+            met = self._scanned.along(best_path(first)) if self._scanned and wanted and first else None
+            breaks = self._judge.breaks(status.number, status.branch, taken.step) if self._judge else {}
+            self._found = Found(taken, met, breaks)
         return True
 
     def _draw_found(self, view: View) -> None:
