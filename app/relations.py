@@ -64,7 +64,7 @@ def metres(length: float) -> str:
 
 
 class PathErrors:
-    """Keeps what it takes to judge the paths of a session, whenever somebody asks."""
+    """An observer that keeps what it takes to judge the paths of a session, whenever somebody asks."""
 
     def __init__(self, relations: Relations) -> None:
         self.relations = relations
@@ -77,6 +77,9 @@ class PathErrors:
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
         self._paths.step(step)
+
+    def end(self) -> None:
+        """There is nothing to complete."""
 
     def found(self) -> dict[str, RelationErrors]:
         """Of odometry, of what scan matching alone makes of it, and of the best particle's lineage of each filter by

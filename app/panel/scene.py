@@ -175,10 +175,9 @@ class TopView:
     def fit(self) -> None:
         """Show all of the map, from straight above, in all browsers: of a log, all that was visited so far."""
         with self._lock:
-            found = self._survey.found() if self._survey is not None else None
-            if found is not None:
-                self._survey = Survey(found, ROOM)
-                self._frame(found)
+            tightened = self._survey.tightened() if self._survey is not None else None
+            if tightened is not None:
+                self._frame(tightened)
             self._fit()
 
     # --- What browsers send, in viser's threads: nothing of it is trusted -------------------------------------------

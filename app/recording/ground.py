@@ -85,6 +85,12 @@ class Survey:
         """What has been visited, with a margin; None if nothing was."""
         return around(self._corners, MARGIN - 1.0) if len(self._corners) else None
 
+    def tightened(self) -> Extent | None:
+        """The same, to be shown from now on."""
+        found = self.found()
+        self._shown = self._shown if found is None else found
+        return found
+
 
 def estimates(step: SessionStep) -> Floats:
     """(n, 3) where the filters are."""

@@ -292,7 +292,8 @@ class Writer:
         for f in self._shown.filters:
             rgb, style, title = colours.of_filter(f.key), self._styles[f.key], self._shown.named(f.title)
             for entity, look in (scene.looks(style) | self._features.looks(style, self._crowd)).items():
-                log(f"world/{f.key}/{entity}", *look)
+                if entity != "relations" or self._judge is not None:
+                    log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
                 line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
