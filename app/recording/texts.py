@@ -42,6 +42,12 @@ opens along the way, and closes when a loop does.
 view until they are switched on: open the panel on the left, find `associations` below the view and the filter, and
 click on its eye."""
 
+LOG = """\
+**The log.** Faint grey dots are what all scans met, as the path of the best particle of the first filter places them:
+where they lie twice, or beside the walls of the map, something is wrong. With `--relations`, thin light lines in the
+colour of a filter lead from where its path has the robot to where a relation between two scans has it; the page
+*Relations* says how far that is."""
+
 PACKAGES = ("dual-fastslam-workbench", "numpy", "scipy", "numba", "rerun-sdk")
 
 
@@ -50,6 +56,8 @@ def about(info: SessionInfo, shown: Limits) -> str:
     legend = "\n".join(f"- **{f.title}** is {colours.word(f.key)} (`{f.key}`). {f.reference}." for f in info.filters)
     walls = isinstance(info.source.feature, Wall)
     faint, features = ("lines", WALLS) if walls else ("dots", LANDMARKS)
+    if info.source.scans is not None:
+        features += f"\n\n{LOG}"
     return f"""\
 # {info.source.title}
 
