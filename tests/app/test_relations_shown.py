@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from app import cli, session
 from app.live.engine import Engine
 from app.live.judge import Judge
 from app.live.publisher import Publisher
 from app.recording import Recorder
+from app.recording.blueprint import layout
+from app.recording.ground import extent_of
 from app.recording.reading import Recording
 from app.recording.session import SessionWriter
 from app.recording.stream import FileStream
@@ -128,6 +132,23 @@ def test_a_recording_has_lines_and_a_page(drive: Drive, source: Source, tmp_path
     assert f"| {worst[0]} and {worst[1]} | 4 |" in page
     assert "| odometry |" in page
     assert "none has both scans" in pages[2][0]
+
+
+def views(part: Any) -> list[Any]:
+    inner = getattr(part, "contents", None)
+    return [part] if not isinstance(part, rrb.Container) else [view for one in inner for view in views(one)]
+
+
+@pytest.mark.parametrize("judged", [False, True])
+def test_the_window_has_the_page_and_lines_on_maps_alone(source: Source, judged: bool) -> None:
+    known = frozenset({"relations"} if judged else ())
+    window = layout([ESTIMATORS["dfs"]], extent_of(source, 9), known, "")
+    shown = views(window.root_container)
+    assert [view.name for view in shown].count("Relations") == judged
+    spatial = [view for view in shown if isinstance(view, rrb.Spatial3DView)]
+    assert len(spatial) == 5
+    for view in spatial:
+        assert ("- /world/dfs/relations" in view.contents) == (view.origin != "/world")
 
 
 def test_without_relations_there_is_nothing_of_them(source: Source, tmp_path: Path) -> None:
