@@ -19,6 +19,7 @@ from app.live.trend import Trend
 from app.pace import Pace
 from app.panel import scene
 from app.panel.camera import OUT, Cameras, TopCamera
+from app.panel.layers import LEAST
 from app.panel.panel import Panel
 from app.panel.scene import BEGIN, LAYERS, TopView
 from app.recording import ground
@@ -174,6 +175,9 @@ def test_what_was_visited_is_shown_to_those_who_ask_and_those_who_come(server, e
     top.fit()
     assert owner.shows(paths(status))
     tight = owner.camera.position
+    top.show(status)  # the same step, but a pixel is another length
+    pixel = top._camera.pixel(server.get_clients().values())  # type: ignore[union-attr]
+    np.testing.assert_allclose(node(server, "fs2/ellipses").batched_scales[:, :2].min(), LEAST * pixel, rtol=1e-6)
     x, y = np.ptp(paths(status)[:, :2], axis=0)
     low, high = top._survey._shown  # type: ignore[union-attr]
     np.testing.assert_array_less(high - low, np.array([x, y]) + 2 * 5.0 + 0.2 * max(x, y))
@@ -294,7 +298,8 @@ def test_scans_are_a_layer_of_logs_that_is_sent_when_it_is_new(server, engine, s
     assert dots.point_size == size / 2
     assert dots.position[2] < node(server, "seen").position[2]
 
-    sent = dots.points
+    sent, put = dots.points, []
+    monkeypatch.setattr(top._ground.scans, "put", lambda *what, own=top._ground.scans.put: put.append(own(*what)))
     top.visible("headings", False)
     top.visible("scans", False)
     assert not dots.visible
@@ -308,6 +313,7 @@ def test_scans_are_a_layer_of_logs_that_is_sent_when_it_is_new(server, engine, s
     assert node(server, "dfs/dots").visible
     top.show(playing._replace(playing=False))
     assert dots.points is not sent
+    assert len(put) == 1
     back(engine, 0)
     top.show(engine.status)
     assert not dots.visible
