@@ -50,6 +50,11 @@ def word(key: str) -> str:
     return WORDS.get(key, "red")
 
 
+def broken(rgb: RGB) -> RGB:
+    """Where the path of a filter of this colour breaks relations: lighter than its map, which lies below."""
+    return mix(rgb, (255, 255, 255), 0.5)
+
+
 def mix(a: RGB, b: RGB, share: float) -> RGB:
     """`share` of b and the rest of a."""
     red, green, blue = (round(x + share * (y - x)) for x, y in zip(a, b, strict=True))

@@ -32,6 +32,8 @@ from app.relations import PathErrors, relations_of
 from app.sources import LogParts, load
 from app.summary import Summary
 from app.types import Observer, SessionInfo, SessionStep
+from scenarios.logs.relations import Relations
+from scenarios.types import Source
 from slam.limits import Interval
 
 
@@ -51,6 +53,8 @@ class SessionOptions:
     noise: WorldNoise = field(default_factory=WorldNoise)
     believed: BelievedNoise = field(default_factory=BelievedNoise)
     log: OmitArgPrefixes[LogOptions] = field(default_factory=LogOptions)
+    relations: Annotated[Path | None, values.path("--relations", "FILE"), default("none")] = None
+    """Logs of a laser: relations between two scans (Kuemmerle et al., 2009), by which to judge the paths."""
 
     def info(self, own: dict[str, str], command: str) -> SessionInfo:
         """The session; `own` are the options that the world has of its own, as typed."""
@@ -60,6 +64,10 @@ class SessionOptions:
         noise, params = parameters(source, self.filter, self.noise, self.believed)
         filters = [ESTIMATORS[key] for key in self.filters]
         return session.make_info(source, filters, params, noise, self.seed, self.steps, command)
+
+    def relations_to(self, source: Source) -> Relations | None:
+        """The relations by which to judge, if any were given."""
+        return None if self.relations is None else relations_of(self.relations, source)
 
 
 @dataclass(frozen=True)
@@ -73,8 +81,6 @@ class Run(SessionOptions):
 
     align: bool = False
     """Move the whole path rigidly onto the truth before errors are taken."""
-    relations: Annotated[Path | None, values.path("--relations", "FILE"), default("none")] = None
-    """Logs of a laser: relations between two scans (Kuemmerle et al., 2009), by which to judge the paths in the end."""
     replay: Annotated[Path | None, values.path("--replay", "SESSION.json"), default("nothing")] = None
     """Instead of a world: run a live session again, as it was, headless, and say whether it is the same bit for bit."""
     branch: Annotated[str, values.word("NAME"), default("the first run")] = ""
@@ -130,7 +136,7 @@ class Run(SessionOptions):
     def _show(self, info: SessionInfo, changes: Sequence[session.Change] = (), more: Sequence[Observer] = ()) -> int:
         err = Console(stderr=True, highlight=False)
         out = err if is_stdout(self.output.summary) else Console(highlight=False)  # JSON is not mixed with a table
-        relations = None if self.relations is None else relations_of(self.relations, info.source)
+        relations = self.relations_to(info.source)
         for warning in (*info.source.warnings, *(relations.warnings if relations else ())):
             err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
         summary = Summary(self.output.summary, self.align, None if relations is None else PathErrors(relations))
@@ -174,7 +180,8 @@ class Run(SessionOptions):
         if self.output.record is not None:
             from app.recording import Recorder  # so does Rerun
 
-            outputs.append(Output("recording", self.output.record, Recorder(self.output.record)))
+            judge = None if summary.paths is None else summary.paths.breaks
+            outputs.append(Output("recording", self.output.record, Recorder(self.output.record, judge)))
         if self.output.trajectory is not None:
             from app.trajectory import Trajectory
 

@@ -22,6 +22,7 @@ from app.live.settings import MOST
 from app.options import default
 from app.run import SessionOptions
 from app.types import SessionInfo
+from scenarios.logs.relations import Relations
 from slam.limits import Interval
 
 USUAL = "loop"
@@ -74,12 +75,13 @@ class Live(SessionOptions):
             raise UsageError("--viewer native needs a screen, and there is none; expected web or none")
         if info.params.particles > MOST:
             raise UsageError(f"--particles is {info.params.particles}; expected at most {MOST} on the page")
-        for warning in info.source.warnings:
+        relations = self.relations_to(info.source)
+        for warning in (*info.source.warnings, *(relations.warnings if relations else ())):
             out.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
         sys.setswitchinterval(SWITCH)
         with Interrupts() as interrupts, ExitStack() as stack:
             with interrupts.shield():
-                workbench = Workbench(self, info, out, stack)
+                workbench = Workbench(self, info, relations, out, stack)
             try:
                 out.print(f"ready after {monotonic() - began:.1f} s: {workbench.url}", soft_wrap=True, markup=False)
                 if not self.no_browser:
@@ -97,8 +99,11 @@ class Live(SessionOptions):
 class Workbench:
     """Everything that runs: the session, the panel, the page, viewers and files; what is opened goes on the stack."""
 
-    def __init__(self, options: Live, info: SessionInfo, out: Console, stack: ExitStack) -> None:
+    def __init__(
+        self, options: Live, info: SessionInfo, relations: Relations | None, out: Console, stack: ExitStack
+    ) -> None:
         from app.live.engine import Engine, Listener
+        from app.live.judge import Judge
         from app.live.page import Page, Viewer
         from app.live.publisher import VIEWER_STEPS, Publisher
         from app.live.records import Records
@@ -117,12 +122,16 @@ class Workbench:
             check_path(options.record)
         trend = Trend()
         listeners: list[Listener] = [trend]
+        self._judge = None if relations is None else Judge(relations, info.source)
+        if self._judge is not None:
+            listeners.append(self._judge)
         self._publisher: Publisher | None = None
         viewer: Viewer | None = None
         host = None if options.viewer == "none" else LiveHost()
         if host is not None:
             stack.callback(host.close)
-            self._publisher = Publisher(SessionWriter(host.open, live=True), "drop", VIEWER_STEPS)
+            to_viewers = SessionWriter(host.open, live=True, judge=self._judge)
+            self._publisher = Publisher(to_viewers, "drop", VIEWER_STEPS)
             listeners.append(self._publisher)
             if options.viewer == "web":
                 viewer = Viewer(host.files, host.origin, host.query)
@@ -131,7 +140,8 @@ class Workbench:
         self.records = Records(
             self.engine,
             options.record.parent if options.record else Path(),
-            lambda path: SessionWriter(partial(FileStream, path, index=False)),  # nobody knows for how long
+            # without an index, since nobody knows for how long
+            lambda path: SessionWriter(partial(FileStream, path, index=False), judge=self._judge),
             check_path,
         )
         if options.record is not None:
@@ -171,7 +181,7 @@ class Workbench:
             if view.pick is not None:
                 self.engine.pick(key, particle, view.pick.where.step)
 
-        view = TopView(server, picked, self.engine.unpick)
+        view = TopView(server, picked, self.engine.unpick, self._judge)
         return view
 
     @property

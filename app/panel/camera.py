@@ -7,12 +7,12 @@ between limits.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from app.recording.ground import MARGIN, Extent
-from slam.types import Floats
 
 FIELD = 0.1
 """[rad] of view; less is more orthographic, but viser's clients go no farther than `FARTHEST` away."""
@@ -28,6 +28,9 @@ SHARE = 0.45
 
 NEAR, FAR, CLOSEST, OUT = 1 / 400, 4.0, 1 / 200, 3.0
 """Clipping planes and limits of the zoom, over the height from which all is seen."""
+
+SAME = 1e-4
+"""Over its height, how far a camera may be from where it was put: less than a pixel, more than what rounding does."""
 
 LIFT = 3e-5
 """Between two layers, over that height: told apart also by browsers without a reversed depth buffer."""
@@ -46,11 +49,6 @@ class TopCamera:
         """[m] from where a view of the common shape sees all."""
         self.field = 2.0 * math.atan(0.5 * self._tall(ASPECT) / self.height)
         """[rad]"""
-
-    @property
-    def centre(self) -> Floats:
-        """(2,) [m]"""
-        return np.array(self.look_at[:2])
 
     @property
     def lift(self) -> float:
@@ -75,15 +73,23 @@ class TopCamera:
         position = self.position()
         initial.position, initial.look_at, initial.up = position, (*position[:2], 0.0), (0.0, 1.0, 0.0)
 
-    def fit(self, client: Any) -> None:
-        """Show all in one browser (`viser.ClientHandle`)."""
-        camera = client.camera
+    def fit(self, client: Any) -> Vector:
+        """Show all in one browser (`viser.ClientHandle`); from where that is."""
+        camera, position = client.camera, self.position(_aspect(client.camera))
         with client.atomic():
             camera.min_orbit_distance = 1e-6  # at all times less than the other
             camera.max_orbit_distance = OUT * self.height
             camera.min_orbit_distance = CLOSEST * self.height
             camera.fov, camera.near, camera.far = self.field, NEAR * self.height, FAR * self.height
-            self.see(client, self.position(_aspect(camera)))
+            self.see(client, position)
+        return position
+
+    def allow(self, client: Any) -> None:
+        """Let a browser whose camera a person has go as far away as there is something to see; it stays where it is."""
+        camera = client.camera
+        with client.atomic():
+            camera.far = max(FAR * self.height, float(camera.far))  # in this order never NaN
+            camera.max_orbit_distance = max(OUT * self.height, float(camera.max_orbit_distance))
 
     def see(self, client: Any, position: Vector) -> None:
         """Look straight down from there."""
@@ -127,6 +133,46 @@ class TopCamera:
         if not (math.isfinite(height) and math.isfinite(tall) and height > 0.0 and tall >= 1.0):
             return None
         return 2.0 * height * math.tan(0.5 * self.field) / tall
+
+
+class Cameras:
+    """Which browsers have their camera where it was put, and not where a person wants it.
+
+    A slow browser may tell long after that it is where it was put before: all places count.
+    """
+
+    def __init__(self) -> None:
+        self._put: dict[int, list[Vector]] = {}
+        """By browser (`ClientHandle.client_id`)."""
+        self._offered: list[Vector] = []
+        """Where those begin that come, and where "Reset View" leads."""
+
+    def offer(self, camera: TopCamera, initial: Any) -> None:
+        """Those that come, and those that ask for it, see all (`viser.InitialCameraConfig`)."""
+        camera.prepare(initial)
+        self._offered.append(camera.position())
+
+    def fit(self, camera: TopCamera, client: Any) -> None:
+        """Show all in one browser, whoever has its camera."""
+        self._put[client.client_id] = [camera.fit(client)]
+
+    def follow(self, camera: TopCamera, client: Any) -> None:
+        """Show all in one browser, unless a person has its camera."""
+        with suppress(AssertionError, TypeError, ValueError):  # it has not told yet, or told nonsense
+            if self._is_own(client):
+                self._put.setdefault(client.client_id, []).append(camera.fit(client))
+            else:
+                camera.allow(client)
+
+    def gone(self, client: Any) -> None:
+        """A browser was closed."""
+        self._put.pop(client.client_id, None)
+
+    def _is_own(self, client: Any) -> bool:
+        """Whether its camera is where it was put."""
+        now = np.asarray(client.camera.position, float)
+        places = [*self._offered, *self._put.get(client.client_id, ())]
+        return now.shape == (3,) and any(math.dist(now, place) <= SAME * place[2] for place in places)
 
 
 def _aspect(camera: Any) -> float:

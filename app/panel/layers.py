@@ -1,7 +1,7 @@
 """The layers of the top view: the ground with the truth, every filter, and the particle that was picked.
 
-Heights are those of the nodes, a hair's breadth apart.  Positions are relative to the centre of the map, where the
-parent of all nodes stands: single precision is then enough, wherever on earth a map lies.
+Heights are those of the nodes, a hair's breadth apart.  Positions are relative to where the parent of all nodes stands,
+within the map: single precision is then enough, wherever on earth a map lies.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import viser
 from app import colours, shades
 from app.live.engine import Status
 from app.panel import shapes
-from app.panel.nodes import Ellipses, Node, Strokes
+from app.panel.nodes import Dots, Ellipses, Node, Strokes
 from app.panel.picking import Pick, Where, ancestry
 from app.panel.trails import OdometryTrail
 from app.recording.ground import Extent, known, observer, seen
 from app.recording.limits import sample, thinned, thinned_tree
+from app.relations import Breaks
 from app.scans import returns
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
 from slam.features import Wall
@@ -53,7 +54,8 @@ GAP = 2.0
 
 PICKED: colours.RGB = (255, 255, 255)
 
-GRID, TRUE_MAP, SEEN, ODOMETRY, TRUTH, LINEAGES, MAP_ELLIPSES, PATH, MAP, ELLIPSES, HEADINGS, DOTS, PICK = range(13)
+GRID, SCANS, TRUE_MAP, SEEN, ODOMETRY, TRUTH = range(6)
+LINEAGES, MAP_ELLIPSES, PATH, RELATIONS, MAP, ELLIPSES, HEADINGS, DOTS, PICK = range(6, 15)
 """Layers, from below.  In each, the first filter is on top, and those below it are drawn a little larger."""
 
 
@@ -61,7 +63,7 @@ class View(NamedTuple):
     """How to draw."""
 
     centre: Floats
-    """(2,) [m] of the map."""
+    """(2,) [m] where the parent of all nodes stands."""
     pixel: float
     """[m] that a pixel is wide, for whoever is closest."""
     lift: float
@@ -103,21 +105,25 @@ class Layers:
 
 
 class GroundLayers(Layers):
-    """What is no filter: the grid, the true map, path and robot, dead reckoning, what the sensor sees."""
+    """What is no filter: the grid, the true map, path and robot, dead reckoning, what the sensor sees and has seen."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         super().__init__()
         white = colours.TRUTH_ON_DARK
         self.grid = Strokes(scene, "/map/grid", 1.0, colours.faded((110, 118, 122), 0.75))
+        self.scans = Dots(scene, "/map/scans", colours.faded(colours.ODOMETRY, 0.45))
         self.map = Strokes(scene, "/map/truth/map", 4.0, white)
         self.seen = Strokes(scene, "/map/seen", 1.0, colours.WARNING)
         self.odometry = Strokes(scene, "/map/odometry", 1.2, colours.ODOMETRY)
         self.path = Strokes(scene, "/map/truth/path", 1.2, colours.faded(white, 0.3))
         self.heading = Strokes(scene, "/map/truth/heading", 2.4, white)
         self.robot = Strokes(scene, "/map/truth/robot", 9.0, white)
+        self._met: tuple[Floats, float] | None = None
+        """What `scans` has."""
         self.scale = scene.add_label("/map/scale", "", anchor="bottom-left", font_screen_scale=0.7)
         self.nodes = {
             self.grid: GRID,
+            self.scans: SCANS,
             self.map: TRUE_MAP,
             self.seen: SEEN,
             self.odometry: ODOMETRY,
@@ -126,7 +132,7 @@ class GroundLayers(Layers):
             self.robot: TRUTH,
         }
 
-    def enter(self, info: SessionInfo, extent: Extent) -> None:
+    def enter(self, info: SessionInfo) -> None:
         """Another world."""
         steps = info.source.steps
         at = [i for i, step in enumerate(steps) if known(step.truth)]
@@ -139,23 +145,33 @@ class GroundLayers(Layers):
         white, yellow = colours.TRUTH_ON_DARK, colours.WARNING
         self.map.look(3.0 if self._walls else 9.0 * self._crowd, colours.faded(white, 0.74 if self._walls else 0.5))
         self.seen.look(2.0 if self._walls else 1.0, colours.faded(yellow, 0.4 if self._walls else 0.6))
-        self._draw_grid(extent)
 
-    def _draw_grid(self, extent: Extent) -> None:
+    def draw_grid(self, extent: Extent, centre: Floats) -> None:
+        """Over the part of the plane that is shown, with its scale; `centre` (2,) [m] as in `View`."""
         mesh = nice(extent.size / SQUARES)
         low, high = (f(edge / mesh) * mesh for f, edge in ((np.floor, extent.low), (np.ceil, extent.high)))
         x, y = (np.arange(a, b + 0.5 * mesh, mesh) for a, b in zip(low, high, strict=True))
         upright = np.stack([np.stack([x, np.full_like(x, edge)], axis=1) for edge in (low[1], high[1])], axis=1)
         level = np.stack([np.stack([np.full_like(y, edge), y], axis=1) for edge in (low[0], high[0])], axis=1)
-        self.grid.put(np.concatenate([upright, level]) - extent.centre)
+        self.grid.put(np.concatenate([upright, level]) - centre)
         self.scale.text = f"one square: {mesh:g} m"
-        self.scale.position = (*(extent.low - extent.centre), 0.0)
+        self.scale.position = (*(extent.low - centre), 0.0)
+
+    def draw_scans(self, met: tuple[Floats, float] | None, view: View) -> None:
+        """What all scans met, as `Scanned.along` tells; sent to browsers only if it is something else."""
+        if met is None or not len(met[0]) or "scans" in view.off:
+            self.scans.hide()
+        elif met is self._met:
+            self.scans.show()
+        else:
+            self._met = met
+            self.scans.put(view.at(met[0]), met[1])
 
     def draw_start(self, info: SessionInfo, view: View) -> None:
         """Before the first step."""
         self._draw_map(info, view)
         self._draw_robot(np.asarray(info.source.start, float), view)
-        for node in (self.seen, self.odometry, self.path):
+        for node in (self.scans, self.seen, self.odometry, self.path):
             node.hide()
 
     def draw(self, status: Status, step: SessionStep, trail: OdometryTrail, view: View) -> None:
@@ -228,6 +244,10 @@ class FilterLayers(Layers):
         self.map_ellipses = Ellipses(scene, f"{top}/map_ellipses", 0.2, rgb)
         self.bands = Strokes(scene, f"{top}/bands", 1.0, colours.faded(rgb, 0.5))
         self.path = Strokes(scene, f"{top}/path", 1.2 + 0.7 * rank, colours.faded(rgb, 0.1))
+        self.relations = Strokes(scene, f"{top}/relations", 1.0, colours.broken(rgb))
+        self._breaks: Breaks | None = None
+        self._broken = np.zeros((0, 2, 2))
+        """What `relations` has."""
         self.map = Strokes(scene, f"{top}/map", 2.0)
         self.ellipses = Ellipses(scene, f"{top}/ellipses", 0.1, rgb)
         self.headings = Strokes(scene, f"{top}/headings", 1.0, colours.faded(rgb, 0.35))
@@ -237,6 +257,7 @@ class FilterLayers(Layers):
             self.map_ellipses: MAP_ELLIPSES,
             self.bands: MAP_ELLIPSES,
             self.path: PATH,
+            self.relations: RELATIONS,
             self.map: MAP,
             self.ellipses: ELLIPSES,
             self.headings: HEADINGS,
@@ -285,6 +306,16 @@ class FilterLayers(Layers):
         living = np.array([b.living for b in branches], float)
         tones = shades.faded(self.rgb, 0.75 - 0.4 * np.sqrt(living / max(living, default=1.0)))
         self.lineages.put(segments, np.repeat(tones, lengths, axis=0)[1:][joined])
+
+    def draw_relations(self, breaks: Breaks | None, view: View) -> None:
+        """Where the path breaks the relations that it is judged by."""
+        if breaks is not self._breaks:
+            self._breaks, self._broken = breaks, np.zeros((0, 2, 2)) if breaks is None else breaks.shown()
+            self.relations.put(view.at(self._broken))
+        elif len(self._broken):
+            self.relations.show()
+        if "relations" in view.off:
+            self.relations.hide()
 
     def _draw_particles(self, where: Where, update: FilterUpdate, best: int, view: View) -> Shown:
         """Ellipses, headings and dots; the heavier ones on top, for eyes and clicks alike."""

@@ -66,6 +66,10 @@ TRUNK = "the first run"
 MOST_SEED = 2**53 - 1
 
 
+NEVER = (-1, "", False, "", "")
+"""What the page shows before it shows anything."""
+
+
 class Records(Protocol):
     """What the panel needs of recording to files."""
 
@@ -105,9 +109,12 @@ class View(Protocol):
         """Markdown on the particle that somebody chose; empty for none."""
         ...
 
-    @property
-    def layers(self) -> Sequence[str]:
-        """What can be shown or hidden."""
+    def describe_relations(self) -> str:
+        """Markdown on how well the paths fit relations; empty without."""
+        ...
+
+    def layers(self, info: Any) -> Sequence[str]:
+        """What can be shown or hidden of a session."""
         ...
 
     def visible(self, layer: str, on: bool) -> None:
@@ -155,7 +162,7 @@ class Panel:
         self._speed = USUAL_SPEED
         self._said, self._said_at = "", 0.0
         """What came of something that was asked for, and when."""
-        self._shown = (-1, "", False, "")
+        self._shown = NEVER
         self._built = -1
         self._own = threading.local()
         self._closing = threading.Event()
@@ -210,7 +217,7 @@ class Panel:
         with tabs.add_tab("Record"):
             self._build_record()
         with tabs.add_tab("View"):
-            self._build_view()
+            self._build_view(status)
         self._built = status.number
         if self._view is not None:
             self._view.reset(status.info)
@@ -294,14 +301,14 @@ class Panel:
         self.new_seed = gui.add_button("New seed", hint="Begin again with the next seed.")
         self.new_seed.on_click(lambda _: self._engine.reset(seed=(self._engine.status.info.seed + 1) % MOST_SEED))
 
-    def _build_view(self) -> None:
+    def _build_view(self, status: Status) -> None:
         gui = self._gui
         self.pick = gui.add_markdown(NO_PICK)
         self.whole = gui.add_button("Whole map", hint="See everything again, after zooming.")
         self.whole.on_click(lambda _: self._view.fit() if self._view else None)
         self.layers = {}
         with gui.add_folder("What the picture shows"):
-            for layer in self._view.layers if self._view else ():
+            for layer in self._view.layers(status.info) if self._view else ():
                 box = gui.add_checkbox(layer, self._view.is_visible(layer) if self._view else True)
                 box.on_update(lambda event: self._set_layer(event.target))
                 self.layers[layer] = box
@@ -387,7 +394,7 @@ class Panel:
         except Exception as error:
             self._said = sentence(error)
         self._said_at = monotonic()
-        self._shown = (-1, "", False, "")
+        self._shown = NEVER
         self._wake.set()
 
     # --- Showing: in the panel's own thread -------------------------------------------------------------------------
@@ -410,6 +417,7 @@ class Panel:
         if self._view is not None:
             self._view.show(status)
         pick = self._view.describe_pick(status) if self._view is not None else ""
+        judged = self._view.describe_relations() if self._view is not None else ""
         self.controls.show(status.settings)  # always: one that somebody was at is left for later
         self._own.busy = True
         shows = [(box, key in status.settings.filters) for key, box in self.filters.items()]
@@ -417,22 +425,22 @@ class Panel:
             if time() - handle.update_timestamp > REST:
                 _set(handle, "value", value)
         self._own.busy = False
-        shown = (status.changed, recorded, self._told(), pick)
+        shown = (status.changed, recorded, self._told(), pick, judged)
         if shown == self._shown and not status.playing:
             return
         self._shown = shown
         self._own.busy = True
         try:
             with self.server.atomic():
-                self._show(status, recorded, pick)
+                self._show(status, recorded, pick, judged)
         finally:
             self._own.busy = False
 
-    def _show(self, status: Status, recorded: str, pick: str) -> None:
+    def _show(self, status: Status, recorded: str, pick: str, judged: str) -> None:
         notes = self._notes()
         _set(self.headline, "content", now.headline(status) + (f" - {notes}" if notes else ""))
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
-        _set(self.table, "content", now.table(status))
+        _set(self.table, "content", f"{now.table(status)}\n\n{judged}" if judged else now.table(status))
         _set(self.play, "label", "Pause" if status.playing else "Play")
         names = tuple(name or TRUNK for name, *_ in status.branches)
         if tuple(self.branches.options) != names:

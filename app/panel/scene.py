@@ -11,27 +11,54 @@ import math
 import threading
 from collections.abc import Callable
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
 
 from app.live.engine import Status
-from app.panel.camera import TopCamera
+from app.live.history import Taken
+from app.live.judge import Judge
+from app.pace import Pace
+from app.panel.camera import Cameras, TopCamera
 from app.panel.layers import FilterLayers, GroundLayers, Layers, PickLayers, Shown, View
 from app.panel.nodes import flat_light
 from app.panel.picking import BEGUN_AGAIN, HINT, Lost, Pick, described, followed, where
 from app.panel.trails import OdometryTrail
-from app.recording.ground import extent_of
-from app.types import SessionInfo
+from app.recording.ground import Extent, Scanned, Survey, extent_of, is_charted
+from app.relations import Breaks
+from app.types import SessionInfo, SessionStep, best_descendant, best_path
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
+from slam.types import Floats
 
-LAYERS = ("truth", "odometry", "seen", "ellipses", "headings", "maps", "paths", "lineages")
+LAYERS = ("truth", "odometry", "seen", "ellipses", "headings", "maps", "paths", "lineages", "scans", "relations")
 """What can be switched off.  Without ellipses, small discs remain to be clicked."""
+
+BEGIN = 10.0
+"""[m] around the start that are shown of a log of which nobody knows where it leads."""
+
+ROOM = 0.25
+"""Share of what was visited that is left around it, when what is shown is too little."""
+
+DUTY = 0.05
+"""Share of the time that may be spent on what takes long, while the session runs: scans and relations."""
 
 ONE_CLICK = 0.3
 """[s] within which two tidings are of one click."""
+
+
+class Found(NamedTuple):
+    """What takes long to find of a step."""
+
+    taken: Taken | None
+    met: tuple[Floats, float] | None
+    """What all scans met (`Scanned.along`); None if nobody wants to know."""
+    breaks: dict[str, Breaks]
+    """By filter, where its path breaks relations."""
+
+
+NOTHING = Found(None, None, {})
 
 
 class TopView:
@@ -40,15 +67,16 @@ class TopView:
     Callable from any thread; meant to be called by one, as often as it likes: what has not changed costs nothing.
     """
 
-    layers = LAYERS
-
     def __init__(
         self,
         server: viser.ViserServer,
         on_pick: Callable[[str, int], None] | None = None,
         on_clear: Callable[[], None] | None = None,
+        judge: Judge | None = None,
     ) -> None:
+        """`judge`, a listener of the engine, knows where paths break relations."""
         self._server = server
+        self._judge = judge
         self._on_pick, self._on_clear = on_pick, on_clear
         self._lock = threading.RLock()
         self.trail = OdometryTrail()
@@ -56,6 +84,14 @@ class TopView:
         self._info: SessionInfo | None = None
         self._number = -1
         self._camera: TopCamera | None = None
+        self._cameras = Cameras()
+        self._centre = np.zeros(2)
+        """[m] where all nodes have their parent."""
+        self._survey: Survey | None = None
+        """Of a log of which nobody knows where it leads."""
+        self._scanned: Scanned | None = None
+        self._found = NOTHING
+        self._pace = Pace(DUTY)
         self._status: Status | None = None
         self._drawn: tuple[Any, ...] | None = None
         self._off: frozenset[str] = frozenset()
@@ -69,6 +105,7 @@ class TopView:
         server.scene.on_click()(self._ground_clicked)
         server.scene.on_rect_select()(self._rectangle_drawn)
         server.on_client_connect(self._connected)
+        server.on_client_disconnect(self._cameras.gone)
 
     # --- What one can ask for ---------------------------------------------------------------------------------------
 
@@ -97,6 +134,11 @@ class TopView:
             if self._status is not None:
                 self._draw(self._status)
 
+    def layers(self, info: SessionInfo) -> tuple[str, ...]:
+        """Those of `LAYERS` that a session has."""
+        idle = {"scans": info.source.scans is None, "relations": self._judge is None or not self._judge.knows(info)}
+        return tuple(layer for layer in LAYERS if not idle.get(layer))
+
     def is_visible(self, layer: str) -> bool:
         """Whether it is shown."""
         return layer not in self._off
@@ -123,10 +165,20 @@ class TopView:
             self._follow(status)
             return self._notice if self._pick is None else described(self._pick)
 
+    def describe_relations(self) -> str:
+        """Markdown on how well the paths fit relations, as of the last step of which that was found; empty without."""
+        breaks = self._found.breaks
+        return "\n".join(
+            f"- relations, {ESTIMATORS[key].title}: {breaks[key].told()}" for key in ESTIMATORS if key in breaks
+        )
+
     def fit(self) -> None:
-        """Show all of the map, from straight above, in all browsers."""
-        for client in self._server.get_clients().values():
-            self._connected(client)
+        """Show all of the map, from straight above, in all browsers: of a log, all that was visited so far."""
+        with self._lock:
+            tightened = self._survey.tightened() if self._survey is not None else None
+            if tightened is not None:
+                self._frame(tightened)
+            self._fit()
 
     # --- What browsers send, in viser's threads: nothing of it is trusted -------------------------------------------
 
@@ -162,8 +214,9 @@ class TopView:
             self._camera.closer(event.client, event.screen_min, event.screen_max)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        if self._camera is not None:
-            self._camera.fit(client)
+        with self._lock:
+            if self._camera is not None:
+                self._cameras.fit(self._camera, client)
 
     # --- A session begins -------------------------------------------------------------------------------------------
 
@@ -187,24 +240,74 @@ class TopView:
         for nodes in self._all:
             nodes.hide()
         if another or self._camera is None:
-            extent = extent_of(info.source, info.steps)
-            camera = self._camera = TopCamera(extent)
-            self._root.position = camera.look_at
-            for nodes in self._all:
-                nodes.place(camera.lift)
-            for nodes in self._filters.values():
-                nodes.enter(info)
-            self._ground.enter(info, extent)
-            camera.prepare(self._server.initial_camera)
-            self.fit()
+            self._enter(info)
+            self._fit()
+        elif self._survey is not None:
+            self._frame(self._first_extent(info))
+            self._follow_map()
+        self._found = NOTHING
         self._ground.grid.show()
-        self._ground.draw_start(info, self._view(self._camera))
+        if self._camera is not None:
+            self._ground.draw_start(info, self._view(self._camera))
+
+    def _enter(self, info: SessionInfo) -> None:
+        """Another world."""
+        extent = self._first_extent(info)
+        self._centre = extent.centre
+        self._root.position = (float(extent.centre[0]), float(extent.centre[1]), 0.0)
+        self._scanned = None if info.source.scans is None else Scanned(info.source)
+        for nodes in self._filters.values():
+            nodes.enter(info)
+        self._ground.enter(info)
+        self._frame(extent)
+
+    def _first_extent(self, info: SessionInfo) -> Extent:
+        """What is shown in the beginning."""
+        if is_charted(info.source, info.steps):
+            self._survey = None
+            return extent_of(info.source, info.steps)
+        start = np.asarray(info.source.start, float)[:2]
+        extent = Extent(start - BEGIN, start + BEGIN)
+        self._survey = Survey(extent, ROOM)
+        return extent
+
+    # --- What part of the plane is shown ----------------------------------------------------------------------------
+
+    def _frame(self, extent: Extent) -> None:
+        """Prepare for another part of the plane; no browser sees it yet."""
+        camera = self._camera = TopCamera(extent)
+        for nodes in self._all:
+            nodes.place(camera.lift)
+        self._ground.draw_grid(extent, self._centre)
+        self._cameras.offer(camera, self._server.initial_camera)
+
+    def _fit(self) -> None:
+        """Show it in all browsers."""
+        for client in self._server.get_clients().values():
+            self._connected(client)
+
+    def _follow_map(self) -> None:
+        """Show it where nobody has zoomed or moved."""
+        for client in self._server.get_clients().values():
+            if self._camera is not None:
+                self._cameras.follow(self._camera, client)
+
+    def _visit(self, step: SessionStep) -> None:
+        """Show more, if the filters have been where nothing is shown; the step may be one of the past."""
+        if self._survey is None or not step.filters:
+            return
+        paths = np.concatenate([update.genealogy.path(best_descendant(update)) for update in step.filters.values()])
+        outgrown = self._survey.outgrown(paths)
+        if outgrown is not None:
+            with self._server.atomic():
+                self._frame(outgrown)
+                self._follow_map()
 
     # --- Drawing ----------------------------------------------------------------------------------------------------
 
     def _view(self, camera: TopCamera) -> View:
         pixel = camera.pixel(self._server.get_clients().values())
-        return View(camera.centre, pixel, camera.lift, self._off)
+        return View(self._centre, pixel, camera.lift, self._off)
 
     def _follow(self, status: Status) -> None:
         if self._pick is None:
@@ -219,17 +322,46 @@ class TopView:
         """What is different from what is drawn."""
         if self._camera is None:
             return
+        if status.taken is not None and (self._drawn is None or self._drawn[0] is not status.taken):
+            self._visit(status.taken.step)
         view, walls = self._view(self._camera), isinstance(status.info.source.feature, Wall)
-        how = (where(status), view.pixel, self._off)
+        how = (where(status), view.pixel, view.lift, self._off)
         same = self._drawn is not None and self._drawn[0] is status.taken and self._drawn[1] == how
-        if same and not self._stale and self._drawn is not None and self._drawn[2] is self._pick:
+        found = self._find(status)
+        if same and not self._stale and not found and self._drawn is not None and self._drawn[2] is self._pick:
             return
         with self._server.atomic():
             if not same:
                 self._draw_step(status, walls, view)
+            if found or not same:
+                self._draw_found(view)
             self._draw_lineages(status.playing, view)
             self._picked.draw(self._pick, walls, view)
         self._drawn = (status.taken, how, self._pick)
+
+    def _find(self, status: Status) -> bool:
+        """What takes long: seldom while the session runs, else at once; whether there is something new."""
+        taken = status.taken
+        if taken is None:
+            before, self._found = self._found, NOTHING
+            return before is not NOTHING
+        wanted = self._scanned is not None and "scans" not in self._off
+        if self._found.taken is taken and (self._found.met is not None or not wanted):
+            return False
+        if status.playing and not self._pace.due:
+            return False
+        with self._pace.kept():
+            first = next(iter(taken.step.filters.values()), None)
+            met = self._scanned.along(best_path(first)) if self._scanned and wanted and first else None
+            breaks = self._judge.breaks(status.number, status.branch, taken.step) if self._judge else {}
+            self._found = Found(taken, met, breaks)
+        return True
+
+    def _draw_found(self, view: View) -> None:
+        """Scans and relations, as they were found last."""
+        self._ground.draw_scans(self._found.met, view)
+        for key in self._shown:
+            self._filters[key].draw_relations(self._found.breaks.get(key), view)
 
     def _draw_step(self, status: Status, walls: bool, view: View) -> None:
         step, now = status.taken.step if status.taken else None, where(status)

@@ -18,6 +18,8 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
                                     weight; picked/map its map
     /world/<filter>/associations    from where it saw something to what it took it for; hidden until switched on
     /world/<filter>/path            path of the best particle
+    /world/<filter>/relations       --relations: from where that path has the robot to where a relation has it, if
+                                    that is more than 0.1 m away
     /world/<filter>/lineages        all paths that lead to a living particle
     /world/<filter>/{focus,best}    frames of the close-ups: about the estimate, about the best particle
     /plots/<metric>/<filter>        a series for each measure of `metrics`
@@ -26,6 +28,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /genealogy/<filter>             lines of descent over (step, slot)
     /weights/<filter>               sorted weights times K
     /branch/<name>/...              the same tree for a branch; property `session-<name>`
+    /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 
 and timelines

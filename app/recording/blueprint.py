@@ -168,6 +168,7 @@ def _close_up(estimator: Estimator, frame: str, name: str, branch: Shown) -> rrb
             f"+ {root}/**",
             f"- {root}/lineages",
             f"- {root}/maps",
+            f"- {root}/relations",
             f"- {root}/{other}/**",
         ],
         overrides={f"{root}/{ON_DEMAND}": rrb.EntityBehavior(visible=False)},
@@ -256,10 +257,15 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
         ancestry,
         rrb.Horizontal(*weights, name="Weights times K"),
         *(_events(one) for one in reversed(branches)),
+        *(_relations(one) for one in reversed(branches) if "relations" in one.known),
         rrb.TextDocumentView(name="About", origin=branches[0].at("about")),
         *(rrb.TextDocumentView(name=one.named("Parameters"), origin=one.at("params")) for one in reversed(branches)),
         active_tab=0,
     )
+
+
+def _relations(branch: Shown) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name=branch.named("Relations"), origin=branch.at("relations"))
 
 
 def _events(branch: Shown) -> rrb.TextLogView:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.scans import returns
 from app.types import SessionStep
 from scenarios.types import Source
 from slam.motion import propagate
@@ -15,6 +16,9 @@ FIELD = 1.04
 """Height of what a view shows, over the distance of the eye: a viewer's field of view is 55 degrees."""
 
 MARGIN = 1.08
+
+MOST_CELLS, FINEST = 20_000, 0.05
+"""Of the grid in which the scans of a log are shown, how many; and the size [m] of the smallest."""
 
 
 class Extent(NamedTuple):
@@ -43,33 +47,54 @@ class Extent(NamedTuple):
         return float(MARGIN * max(height, width / aspect, 1.0) / FIELD)
 
 
+def around(places: Floats, room: float) -> Extent:
+    """What holds places (n, >= 2) [m], with so much of its longer side around it, and 5 m at least."""
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
+    margin = max(room * float(max(high - low)), 5.0)
+    return Extent(low - margin, high + margin)
+
+
+def is_charted(source: Source, steps: int) -> bool:
+    """Whether somebody knows beforehand where it leads: of logs without a true pose dead reckoning alone tells, and
+    goes astray."""
+    return source.kind == "world" or any(step.truth is not None for step in source.steps[:steps])
+
+
 class Survey:
-    """The part of the plane where a filter has been, for where nobody knows beforehand: dead reckoning goes astray."""
+    """The part of the plane where filters have been, for where nobody knows beforehand (`is_charted`)."""
 
-    def __init__(self, extent: Extent) -> None:
+    def __init__(self, extent: Extent, room: float = 0.5) -> None:
+        """`extent` is what is shown at first; `room`, a share of what was visited, is left around it to go on."""
         self._shown = extent
-        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
+        self._room = room
+        self._corners = np.zeros((0, 2))
 
-    def outgrown(self, step: SessionStep) -> Extent | None:
-        """What to show from now on, if an estimate has left what is shown: with room to go on."""
-        places = np.array([update.measures.estimate[:2] for update in step.filters.values()]).reshape(-1, 2)
-        places = places[np.isfinite(places).all(axis=1)]
+    def outgrown(self, places: Floats) -> Extent | None:
+        """What to show from now on, if places (n, >= 2) [m] have left what is shown: with room to go on."""
+        places = places[np.isfinite(places[:, :2]).all(axis=1), :2]
         if not len(places):
             return None
-        self._low = np.minimum(self._low, places.min(axis=0))
-        self._high = np.maximum(self._high, places.max(axis=0))
+        known = np.concatenate([self._corners, places])
+        self._corners = np.stack([known.min(axis=0), known.max(axis=0)])
         if self._shown.holds(places):
             return None
-        self._shown = self._with_room(0.5)
+        self._shown = around(self._corners, self._room)
         return self._shown
 
     def found(self) -> Extent | None:
         """What has been visited, with a margin; None if nothing was."""
-        return self._with_room(0.08) if np.isfinite(self._low).all() else None
+        return around(self._corners, MARGIN - 1.0) if len(self._corners) else None
 
-    def _with_room(self, share: float) -> Extent:
-        room = max(share * float(max(self._high - self._low)), 5.0)
-        return Extent(self._low - room, self._high + room)
+    def tightened(self) -> Extent | None:
+        """The same, to be shown from now on."""
+        found = self.found()
+        self._shown = self._shown if found is None else found
+        return found
+
+
+def estimates(step: SessionStep) -> Floats:
+    """(n, 3) where the filters are."""
+    return np.array([update.measures.estimate for update in step.filters.values()]).reshape(-1, 3)
 
 
 def extent_of(source: Source, steps: int) -> Extent:
@@ -109,9 +134,38 @@ def seen(frame: Frame, s: Floats) -> Floats:
     return np.array(ends, float).reshape(-1, 2)
 
 
-def squares(points: Floats, side: float) -> Floats:
-    """(n, 2) [m] the middles of the squares, with sides of so many metres, in which some of the points (N, 2) lie."""
-    return (np.unique(np.floor(points / side), axis=0) + 0.5) * side
+class Scanned:
+    """What the scans of a log have met, as the robot sees it, to be placed along any path."""
+
+    def __init__(self, source: Source) -> None:
+        self._scans = [frame.scan for frame, _ in source.steps]
+        self._met: list[Floats] = []
+
+    def along(self, poses: Floats) -> tuple[Floats, float]:
+        """(n, 2) [m] where the scans ended of which the first T were taken at poses (T, 3): the middles of all cells of
+        a grid in which one did; and the size of a cell [m], the smallest that leaves no more than `MOST_CELLS`."""
+        for scan in self._scans[len(self._met) : len(poses)]:
+            self._met.append(np.zeros((0, 2)) if scan is None else returns(scan, np.zeros(3)))
+        met = self._met[: len(poses)]
+        local = np.concatenate([np.zeros((0, 2)), *met])
+        c, s = np.cos(poses[: len(met), 2]), np.sin(poses[: len(met), 2])
+        frames = np.column_stack([poses[: len(met), :2], c, s])
+        x, y, c, s = np.repeat(frames, [len(ends) for ends in met], axis=0).T
+        placed = np.stack([x + c * local[:, 0] - s * local[:, 1], y + s * local[:, 0] + c * local[:, 1]], axis=1)
+        return _cells(placed[np.isfinite(placed).all(axis=1)])
+
+
+def _cells(xy: Floats) -> tuple[Floats, float]:
+    """Middles (n, 2) and size [m] of the cells of a grid that hold one of the points (N, 2)."""
+    cell, most = FINEST, 1 << 30
+    at = np.clip(np.floor(xy / cell), -most, most).astype(np.int64)
+    while True:
+        codes = np.unique((at[:, 0] << 32) + at[:, 1])
+        column = ((codes + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
+        at = np.stack([(codes - column) >> 32, column], axis=1)
+        if len(at) <= MOST_CELLS:
+            return cell * (at.astype(float) + 0.5), cell
+        at, cell = at >> 1, 2.0 * cell
 
 
 def known(pose: Floats | None) -> bool:

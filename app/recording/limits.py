@@ -92,11 +92,14 @@ def thinned(path: Floats, vertices: int) -> Floats:
 
 
 def thinned_tree(branches: list[Branch], steps: int, vertices: int) -> tuple[list[Branch], Floats, list[int]]:
-    """The branches that most of the living descend through, as many as `vertices` allow for; thinned like a path.
+    """The branches that most of the living descend through, as many as `vertices` allow for; thinned like a path, and
+    less where there are few.
 
     Returns these branches, all that is kept of their poses in one array (n, 3), and how much of each.
     """
     stride = _stride(steps, vertices // 16)
+    while stride > 1 and sum(2 * len(b.poses) // stride + 2 for b in branches) <= vertices:
+        stride //= 2
     spread = np.arange(len(branches)) * 0.618034 % 1.0  # of many equal ones, some here and some there
     order = np.lexsort((spread, np.array([-b.living for b in branches], float)))
     cost = np.cumsum([len(branches[i].poses) // stride + 2 for i in order])

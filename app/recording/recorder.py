@@ -11,7 +11,7 @@ from app.recording.stream import FileStream, check_path
 from app.types import SessionInfo, SessionStep
 
 if TYPE_CHECKING:
-    from app.recording.writer import Writer
+    from app.recording.writer import Judge, Writer
 
 
 class Recorder:
@@ -21,8 +21,10 @@ class Recorder:
     the file cannot be written any further (a full disk): what it held until then is kept.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, judge: Judge | None = None) -> None:
+        """`judge`, which sees every step first, knows where paths break relations."""
         self.path = Path(path)
+        self._judge = judge
         check_path(self.path)
         self._writer: Writer | None = None
 
@@ -31,7 +33,7 @@ class Recorder:
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised here as `RecordingLost`
         from app.recording.writer import Writer  # importing Rerun takes a second: only who records pays for it
 
-        self._writer = Writer(info, partial(FileStream, self.path))
+        self._writer = Writer(info, partial(FileStream, self.path), judge=self._judge)
 
     def step(self, step: SessionStep) -> None:
         """Write one observing step."""

@@ -19,6 +19,7 @@ from app import colours, shades
 from app.colours import RGB
 from app.recording import arrow
 from app.recording.limits import Limits, sample, thinned, thinned_tree
+from app.relations import Breaks
 from slam.genealogy import Genealogy
 from slam.geometry import ellipse_axes
 from slam.types import Floats, Particles
@@ -39,7 +40,7 @@ SCAN, TRUTH_MAP, ODOMETRY, TRUTH, RETURNS = range(2, 7)
 """Heights, in lifts, of what is no filter: above the grid, beneath all of them.  Rays lie below landmarks, and returns
 of a laser on the walls that they came from."""
 
-MAPS, LINEAGES, MAP_ELLIPSES, PATH, MAP, SEGMENTS, ASSOCIATIONS, ELLIPSES, PARTICLES = range(2, 11)
+MAPS, LINEAGES, MAP_ELLIPSES, PATH, RELATIONS, MAP, SEGMENTS, ASSOCIATIONS, ELLIPSES, PARTICLES = range(2, 12)
 """Layers of the filters, from below."""
 
 
@@ -73,6 +74,7 @@ def looks(style: Style) -> dict[str, list[Any]]:
         ],
         "ellipses": [rr.Ellipsoids3D.from_fields(colors=(*rgb, 14), fill_mode="solid")],
         "path": [strokes(rgb, 1.4 + 0.9 * rank)],
+        "relations": [strokes(colours.broken(rgb), 0.7)],
         "picked": [dots((255, 255, 255), 5.0), strokes((255, 255, 255), 2.0)],
         "lineages": [strokes(None, 1.0)],
     }
@@ -163,6 +165,11 @@ def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips
 def path(poses: Floats, shown: Limits, style: Style) -> rr.LineStrips3D:
     """The path of the best particle (T, 3)."""
     return lines([thinned(poses, shown.vertices)], style.z(PATH))
+
+
+def relations(breaks: Breaks, style: Style) -> rr.LineStrips3D:
+    """Where the path breaks relations that it is judged by: from where it has the robot to where they have it."""
+    return rr.LineStrips3D.from_fields(strips=arrow.segments(breaks.shown(), style.z(RELATIONS)))
 
 
 ROUND = np.stack([f(np.linspace(0.0, 2.0 * math.pi, 49)) for f in (np.cos, np.sin)], axis=1)

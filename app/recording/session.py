@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from time import monotonic
 
 from app.live.engine import Begun, Forked, Stepped
+from app.live.judge import Judge
 from app.recording.blueprint import MAP_ASPECT, PAGE_ASPECT
 from app.recording.stream import OpenStream
 from app.recording.writer import Writer
+from app.relations import Breaks
 from app.types import SessionInfo, SessionStep
 from slam.estimators import ESTIMATORS
 
@@ -27,10 +30,15 @@ TRUNK = "the first run"
 class SessionWriter:
     """A `Listener` that writes.  The branch that it sees first is the run itself; all others lie beside it."""
 
-    def __init__(self, open_stream: OpenStream, live: bool = False) -> None:
+    def __init__(self, open_stream: OpenStream, live: bool = False, judge: Judge | None = None) -> None:
         """`live`, for viewers: every session after a reset; of every step numbers and events, pictures `PICTURES` times
-        a second.  A picture takes longer than a step, and nobody sees more of them.
+        a second.  A picture takes longer than a step, and nobody sees more of them.  `judge`, which is told of every
+        step first, knows where paths break relations.
         """
+        self._judge = judge
+        self._number = 0
+        self._first_branch = ""
+        """That `_first` is of."""
         self._open = open_stream
         self._live = live
         self._aspect = PAGE_ASPECT if live else MAP_ASPECT
@@ -52,7 +60,9 @@ class SessionWriter:
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised as `RecordingLost`
         filters = tuple(ESTIMATORS[key] for key in begun.settings.filters)
         self._info = begun.info._replace(filters=filters, params=begun.settings.params, noise=begun.settings.noise)
-        self._first = Writer(self._info, self._open, self._aspect)
+        self._number = begun.number
+        judged = self._judge is not None and self._judge.knows(begun.info)
+        self._first = Writer(self._info, self._open, self._aspect, judge=self._breaks_of_first if judged else None)
 
     def forked(self, forked: Forked) -> None:
         """A tree of its own, once it has a step."""
@@ -63,7 +73,7 @@ class SessionWriter:
         if self._first is None:
             return
         if not self._writers:
-            self._writers[stepped.branch] = self._first
+            self._writers[stepped.branch], self._first_branch = self._first, stepped.branch
         if stepped.branch not in self._writers:
             self._writers[stepped.branch] = self._beside(stepped.branch)
         self._write(self._writers[stepped.branch], stepped.step)
@@ -92,4 +102,11 @@ class SessionWriter:
         if forked is not None:
             filters = tuple(ESTIMATORS[key] for key in forked.settings.filters)
             info = info._replace(filters=filters, params=forked.settings.params, noise=forked.settings.noise)
-        return self._first.fork(info, branch or TRUNK)
+        judged = self._judge is not None and self._judge.knows(info)
+        return self._first.fork(info, branch or TRUNK, partial(self._breaks, branch) if judged else None)
+
+    def _breaks_of_first(self, step: SessionStep) -> dict[str, Breaks]:
+        return self._breaks(self._first_branch, step)
+
+    def _breaks(self, branch: str, step: SessionStep) -> dict[str, Breaks]:
+        return {} if self._judge is None else self._judge.breaks(self._number, branch, step)

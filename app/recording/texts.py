@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import numpy as np
+
 from app import colours
 from app.recording.limits import Limits
+from app.relations import LEAST, Breaks, metres
 from app.types import SessionInfo
 from slam.features import Wall
 
@@ -38,6 +42,12 @@ opens along the way, and closes when a loop does.
 view until they are switched on: open the panel on the left, find `associations` below the view and the filter, and
 click on its eye."""
 
+LOG = """\
+**The log.** Faint grey dots are what all scans met, as the path of the best particle of the first filter places them:
+where they lie twice, or beside the walls of the map, something is wrong. With `--relations`, thin light lines in the
+colour of a filter lead from where its path has the robot to where a relation between two scans has it; the page
+*Relations* says how far that is."""
+
 PACKAGES = ("dual-fastslam-workbench", "numpy", "scipy", "numba", "rerun-sdk")
 
 
@@ -46,6 +56,8 @@ def about(info: SessionInfo, shown: Limits) -> str:
     legend = "\n".join(f"- **{f.title}** is {colours.word(f.key)} (`{f.key}`). {f.reference}." for f in info.filters)
     walls = isinstance(info.source.feature, Wall)
     faint, features = ("lines", WALLS) if walls else ("dots", LANDMARKS)
+    if info.source.scans is not None:
+        features += f"\n\n{LOG}"
     return f"""\
 # {info.source.title}
 
@@ -85,6 +97,28 @@ All plots and events. Of the particles of each filter at most {shown.particles} 
 ellipse). Paths are redrawn every {_steps(shown.paths)}; lineages, ancestry and all maps every {_steps(shown.pictures)},
 with at most {shown.hypotheses} features of all maps{" (a wall that particles share counts once)" if walls else ""}.
 """
+
+
+def relations(found: Mapping[str, Breaks], titles: Mapping[str, str], step: int) -> str:
+    """Markdown: how well the paths fit the relations that they are judged by, as they are known after a step."""
+    rows = "\n".join(_row(titles.get(key, key), breaks) for key, breaks in found.items() if len(breaks.off))
+    return f"""\
+# Relations after step {step}
+
+How far the second of two scans is from where it should be, seen from the first. On the map a thin line leads from where
+the path has the robot to where the relation has it, wherever that is more than {LEAST:g} m.
+
+| path | mean [m] | 95 % [m] | largest [m] | between scans | relations |
+|---|--:|--:|--:|---|--:|
+{rows or "| none has both scans of any | | | | | |"}
+"""
+
+
+def _row(title: str, breaks: Breaks) -> str:
+    worst = int(np.argmax(breaks.off))
+    lengths = (breaks.off.mean(), np.quantile(breaks.off, 0.95), breaks.off[worst])
+    one, other = breaks.scans[worst]
+    return f"| {title} | {' | '.join(map(metres, lengths))} | {one} and {other} | {len(breaks.off)} |"
 
 
 def description(info: SessionInfo, time_origin: float) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,14 +14,15 @@ import rerun as rr
 
 from app import colours
 from app.events import Watch
+from app.pace import Pace
 from app.recording import charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
-from app.recording.ground import Extent, Survey, extent_of, known, observer, squares
+from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of, is_charted, known, observer
 from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
-from app.scans import all_returns
-from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant
+from app.relations import Breaks
+from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant, best_path
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
 from slam.geometry import ellipse_axes
@@ -47,6 +48,9 @@ Detail = Literal["usual", "all", "present", "numbers"]
 """What is written of a step: pictures as often as their turn comes; all of them; the particles as they are weighted,
 and resampled if they were, but nothing of what lies behind (maps of all particles, lineages, ancestry); no picture."""
 
+Judge = Callable[[SessionStep], Mapping[str, Breaks]]
+"""Tells after a step where the paths of odometry, of matching alone and of each filter break relations."""
+
 OF_A_BRANCH = ("n_eff/threshold",)
 """Those of them that may differ from the run's."""
 
@@ -55,8 +59,8 @@ WIDTH, BRANCH_WIDTH = 1.8, 0.9
 
 GUIDE: colours.RGB = (140, 140, 140)
 
-CELLS = 500.0
-"""Along the longer side of the map, of what the scans of a log have met: a point for each."""
+DUTY = 0.05
+"""Share of the time that scans and relations may take where all pictures are written, for viewers."""
 
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
@@ -87,10 +91,21 @@ class Writer:
     """One recording that is being written, or a branch of one."""
 
     def __init__(
-        self, info: SessionInfo, open_stream: OpenStream, aspect: float = MAP_ASPECT, trunk: Trunk | None = None
+        self,
+        info: SessionInfo,
+        open_stream: OpenStream,
+        aspect: float = MAP_ASPECT,
+        trunk: Trunk | None = None,
+        judge: Judge | None = None,
     ) -> None:
-        """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`)."""
+        """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`); `judge`
+        knows where paths break relations."""
         self._info = info
+        self._judge = judge
+        self._last: SessionStep | None = None
+        self._pace = Pace(DUTY)
+        self._judged = 0
+        """The last step of which relations were written."""
         self._limits = limits_for(info.steps)
         self._features = walls if isinstance(info.source.feature, Wall) else landmarks
         self._watch = Watch({key: estimator.title for key, estimator in ESTIMATORS.items()})
@@ -108,13 +123,13 @@ class Writer:
         extent = extent_of(info.source, info.steps)
         self._size, self._height = extent.size, extent.eye_height(aspect)
         self._lift = scene.LIFT * self._height
-        way_known = any(step.truth is not None for step in info.source.steps[: info.steps])
-        self._survey = None if way_known else Survey(extent)
+        self._survey = None if is_charted(info.source, info.steps) else Survey(extent)
+        self._scanned = None if info.source.scans is None else Scanned(info.source)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
         self._labelled: dict[str, float] = {}
-        known_of_it = known_of(info.source, info.steps)
+        known_of_it = known_of(info.source, info.steps) | ({"relations"} if judge is not None else set())
         self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
         if trunk is not None:
             self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
@@ -130,16 +145,17 @@ class Writer:
         self._write_static()
         self._stream.begun()
 
-    def fork(self, info: SessionInfo, name: str) -> Writer:
+    def fork(self, info: SessionInfo, name: str, judge: Judge | None = None) -> Writer:
         """A branch beside it, under `/branch/<name>/` and on the same timelines; of a branch, one beside that.
 
         It shares the stream, so both are written from one thread, and closing the branch closes nothing.
         """
         if self._trunk is not None:
-            return self._trunk.writer.fork(info, name)
+            return self._trunk.writer.fork(info, name, judge)
         path = unused(slug(name), self._branches)
         trunk = Trunk(self, f"branch/{path}/", name)
-        self._branches[path] = Writer(info, lambda *_: BranchStream(self._stream, path), self._shown.aspect, trunk)
+        stream = BranchStream(self._stream, path)
+        self._branches[path] = Writer(info, lambda *_: stream, self._shown.aspect, trunk, judge)
         self.show()
         return self._branches[path]
 
@@ -164,13 +180,13 @@ class Writer:
         else as it is when the step is done.
         """
         stage = 3 * (step.index - 1) + 1
-        now = (step.index, step.frame.time - self._time_origin)
+        now = self._now(step)
 
         self._stream.set_time(stage, *now)
         self._notice(step.filters.keys())
         self._remember(step)
         if self._survey is not None:
-            self._look_at(self._survey.outgrown(step))
+            self._look_at(self._survey.outgrown(estimates(step)))
         if detail != "numbers":
             self._write_pictures(step, stage, now, detail)
 
@@ -218,12 +234,32 @@ class Writer:
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
             self._write_memory(key, update, step.index, everything, past=moments)
+        if (
+            due(step.index, self._info.steps, self._limits.pictures)
+            if detail == "usual"
+            else everything and self._pace.due
+        ):
+            with self._pace.kept():
+                self._write_scans(step)
+                self._write_relations(step)
 
     def close(self) -> None:
         """Complete the file."""
+        for writer in (self, *self._branches.values()):
+            writer.judge_at_last()
         if self._survey is not None:
             self._look_at(self._survey.found())
         self._stream.close()
+
+    def judge_at_last(self) -> None:
+        """Say how well the paths fit relations as they are known in the end, if that is not said."""
+        if self._last is not None:
+            self._stream.set_time(3 * self._last.index, *self._now(self._last))
+            self._write_relations(self._last)
+
+    def _now(self, step: SessionStep) -> tuple[int, float]:
+        """Of a step, on the timelines that are not about parts of it."""
+        return step.index, step.frame.time - self._time_origin
 
     def _write_static(self) -> None:
         info, log = self._info, self._stream.log_static
@@ -256,7 +292,8 @@ class Writer:
         for f in self._shown.filters:
             rgb, style, title = colours.of_filter(f.key), self._styles[f.key], self._shown.named(f.title)
             for entity, look in (scene.looks(style) | self._features.looks(style, self._crowd)).items():
-                log(f"world/{f.key}/{entity}", *look)
+                if entity != "relations" or self._judge is not None:
+                    log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
                 line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
@@ -284,6 +321,7 @@ class Writer:
 
     def _remember(self, step: SessionStep) -> None:
         """Where the robot was, and where dead reckoning was; also of steps of which there is no picture."""
+        self._last = step
         if step.truth is not None and known(step.truth):
             if self._truth_lost or not self._truth:
                 self._truth.append([])
@@ -378,14 +416,37 @@ class Writer:
                 log(f"world/{key}/{entity}", *what)
         if everything or due(index, steps, limits.paths):
             log(f"world/{key}/path", scene.path(update.genealogy.path(best_descendant(update)), limits, style))
-        if picture and self._info.source.scans is not None and key == self._shown.filters[0].key:
-            way = update.genealogy.path(best_descendant(update))[1:]
-            cells = squares(all_returns(self._info.source, way), self._size / CELLS)
-            log("world/scans", scene.points(cells, scene.SCAN * self._lift))
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
             log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
+
+    def _has_time_for_the_log(self, step: SessionStep, detail: Detail) -> bool:
+        """Whether it is the turn of what all scans tell: with all other pictures of the past, but for viewers, who get
+        these of every step, seldom."""
+        turn = due(step.index, self._info.steps, self._limits.pictures)
+        return turn if detail == "usual" else detail == "all" and self._pace.due
+
+    def _write_scans(self, step: SessionStep) -> None:
+        """What all scans of a log met, as the path of the first filter has them."""
+        first = step.filters.get(self._shown.filters[0].key)
+        if self._scanned is not None and first is not None:
+            cells, _ = self._scanned.along(best_path(first))
+            self._stream.log("world/scans", scene.points(cells, scene.SCAN * self._lift))
+
+    def _write_relations(self, step: SessionStep) -> None:
+        """Where paths break the relations that they are judged by: lines on the map, and in words."""
+        if self._judge is None or self._judged == step.index:
+            return
+        self._judged = step.index
+        found = self._judge(step)
+        if not found:
+            return
+        for key in step.filters:
+            if key in found:
+                self._stream.log(f"world/{key}/relations", scene.relations(found[key], self._styles[key]))
+        page = texts.relations(found, {f.key: f.title for f in self._shown.filters}, step.index)
+        self._stream.log("relations", rr.TextDocument(page, media_type=rr.MediaType.MARKDOWN))
 
     def _write_guides(self, step: SessionStep) -> None:
         """Two points would do for a straight line, but nobody knows which step will be the last."""

@@ -160,10 +160,10 @@ def test_a_branch_is_recorded_with_its_own_settings(engine, monkeypatch):
     made = []
 
     class Told:
-        def __init__(self, info, *_):
+        def __init__(self, info, *_, judge):
             made.append(("", info))
 
-        def fork(self, info, name):
+        def fork(self, info, name, judge):
             made.append((name, info))
             return self
 

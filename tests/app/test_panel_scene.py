@@ -20,7 +20,7 @@ from app.panel.camera import CLOSEST, OUT, TopCamera
 from app.panel.layers import LEAST, nice
 from app.panel.nodes import Ellipses, Strokes
 from app.panel.picking import HINT, Lost, Pick, ancestry, followed, shared_steps, where
-from app.panel.scene import LAYERS, TopView
+from app.panel.scene import TopView
 from app.panel.shapes import ellipses, line, outline
 from app.panel.trails import OdometryTrail
 from app.recording.ground import Extent
@@ -226,7 +226,7 @@ def test_layers_can_be_hidden(server, points):
         "paths": "fs1/path",
         "lineages": "fs1/lineages",
     }
-    assert {*of, "ellipses"} == set(LAYERS)
+    assert {*of, "ellipses"} == set(top.layers(points.status.info))
     for layer, names in of.items():
         for on in (False, True):
             top.visible(layer, on)

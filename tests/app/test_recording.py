@@ -280,6 +280,9 @@ def test_of_a_large_tree_the_large_branches_are_kept():
     assert 10 < len(chosen) == len(lengths) < 1000
     assert sum(lengths) == len(rows) <= 4096
     assert thinned_tree([], 0, 4096)[0] == []
+    alone = [Branch(np.zeros((3001, 3)), 0, 30, 0)]
+    _, rows, _ = thinned_tree(alone, 3000, 800)  # few have more of their corners
+    assert 400 < len(rows) <= 800
 
 
 def test_a_sample_keeps_the_best():
