@@ -1,0 +1,76 @@
+"""`dualslam compare A.rrd B.rrd ...`: from its options to its exit code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from app import values
+from app.errors import UsageError
+from app.files import check_directory
+from app.options import default
+from app.report import print_whole
+
+MOST = 8
+"""Recordings: more than anybody tells apart in one plot."""
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Compare recordings: what differs, a table of numbers, plots, and all of them side by side in Rerun.
+
+    A.rrd is what the others are compared with. FILE.rrd is made by: dualslam run WORLD|LOG --record FILE.rrd, or on the
+    page of dualslam live. A branch of a live session is FILE.rrd#BRANCH; without it, its first run is compared.
+
+    Example: dualslam compare before.rrd after.rrd --out comparison
+    """
+
+    recordings: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        values.words("A.rrd B.rrd ..."),
+        tyro.conf.arg(help_behavior_hint="(2 to 8 of them)"),
+    ] = ()
+    """Recordings, or branches of them."""
+    out: Annotated[Path | None, values.path("--out", "DIR"), default("only the table is printed")] = None
+    """Write compare.json (all numbers), plots (PNG and SVG), and compare.rrd, the recordings side by side: rerun
+    DIR/compare.rrd."""
+
+    def __call__(self, own: dict[str, str], command: str) -> int:
+        """Compare; returns the exit code."""
+        if not 2 <= len(self.recordings) <= MOST:
+            given = f"{len(self.recordings)} {'was' if len(self.recordings) == 1 else 'were'} given"
+            raise UsageError(
+                f"compare needs 2 to {MOST} recordings, and {given}; such as: dualslam compare A.rrd B.rrd"
+            )
+        if own:
+            raise UsageError(f"unknown option {next(iter(own))}; dualslam compare --help lists them")
+        if self.out is not None:
+            check_directory("--out", self.out)
+        from app.compare.numbers import compare
+        from app.compare.runs import read_runs
+        from app.compare.table import filter_table
+        from app.compare.words import no_statistics, sentences, unfinished
+
+        out, err = Console(highlight=False), Console(stderr=True, highlight=False)
+        runs = read_runs(self.recordings)
+        for warning in unfinished(runs):
+            err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+        found = compare(runs)
+        for sentence in sentences(found):
+            out.print(sentence, soft_wrap=True, markup=False)
+        for one in found.filters:
+            out.print()
+            print_whole(out, filter_table(one, found))
+        out.print()
+        for line in no_statistics(found):
+            out.print(line, soft_wrap=True, markup=False)
+        if self.out is not None:
+            from app.compare.output import write
+
+            for line in write(found, self.out, command):
+                out.print(line, soft_wrap=True, markup=False)
+        return 0

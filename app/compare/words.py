@@ -1,0 +1,260 @@
+"""What differs between runs, in sentences: what they were made with, what they saw, and whether they are the same."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from app.compare.numbers import Comparison, Filter
+from app.compare.runs import BRANCH_MARK, Run
+from app.errors import UsageError
+from slam.types import Ints
+
+RADIANS = ("turn", "bearing", "floor_angle")
+"""Parameters that are angles."""
+
+APART = 1e-6
+"""[s] within which two times are one."""
+
+
+class Data(NamedTuple):
+    """Whether two runs saw the same, over the steps that both have."""
+
+    same: bool
+    equal: list[str]
+    """Of truth, odometry and observations what is equal at all steps at which both recordings have it."""
+    other: dict[str, int]
+    """What is not, and the first step at which."""
+
+
+def settings(run: Run) -> dict[str, Any]:
+    """Everything that a run was made with and that may change its numbers, by dotted name."""
+    told = run.told
+    noise = told["noise"] if told["kind"] == "world" else {}
+    parts = {"options": told["options"], "noise": noise, "params": told["params"], "versions": told["versions"]}
+    found = {"source": told["world"], "kind": told["kind"], "seed": told["seed"], "start": told["start"]}
+    for name, inner in parts.items():
+        found |= _flat(inner, "" if name == "params" else f"{name}.")
+    return found
+
+
+def differences(first: Run, other: Run) -> dict[str, tuple[Any, Any]]:
+    """By name what the two were made with, where that is not the same; None for what one of them does not have."""
+    a, b = settings(first), settings(other)
+    names = [*a, *(name for name in b if name not in a)]
+    return {name: (a.get(name), b.get(name)) for name in names if a.get(name) != b.get(name)}
+
+
+def data_of(first: Run, other: Run, steps: Ints) -> Data:
+    """By what the recordings hold of it; where that is too little, by what they say."""
+    equal, parted = [], {}
+    for name in first.seen._fields:
+        a, b = getattr(first.seen, name), getattr(other.seen, name)
+        both = [i for i in steps.tolist() if i in a and i in b]
+        apart = [i for i in both if not np.array_equal(a[i], b[i])]
+        if apart:
+            parted[name] = apart[0]
+        elif both:
+            equal.append(name)
+    return Data(not parted and ("observations" in equal or _said_to_be_same(first, other)), equal, parted)
+
+
+def _said_to_be_same(first: Run, other: Run) -> bool:
+    """Of a log, whose noise is its own, the seed is only that of the filters."""
+    what = ("source", "kind", "start", *(("seed",) if first.told["kind"] == "world" else ()))
+    names = differences(first, other)
+    return not any(name in what or name.startswith(("noise.", "options.")) for name in names)
+
+
+def sentences(found: Comparison) -> list[str]:
+    """All that is to be said before the numbers."""
+    first, *others = found.runs
+    said = [*_odd(found.runs), _steps(found)]
+    for run in others:
+        said.append(_made(first, run))
+        said.append(_data(first, run, found.steps))
+        said += _moments(first, run, found.steps)
+    said += [line for run in found.runs for line in _changed(run)]
+    said += _same_runs(found)
+    return said + list(_missing(found))
+
+
+def unfinished(runs: Sequence[Run]) -> Iterator[str]:
+    """Which recordings end before their time."""
+    for run in runs:
+        last, asked = int(run.steps[-1]), int(run.told["steps"])
+        if run.damaged:
+            yield f"{run.path} is damaged: it is read as far as that goes, to step {last} of {asked}"
+        elif last < asked:
+            yield f"{run.path} ends at step {last} of {asked}"
+
+
+def _odd(runs: Sequence[Run]) -> Iterator[str]:
+    """What was not read as somebody may have expected."""
+    for run in runs:
+        if run.branches and not run.branch:
+            named = ", ".join(f"{run.path}{BRANCH_MARK}{branch}" for branch in run.branches)
+            yield f"{run.name} is the first run of a live session; its branches are compared as {named}"
+
+
+def _steps(found: Comparison) -> str:
+    counts = {run.name: len(run.steps) for run in found.runs}
+    low, high = int(found.steps[0]), int(found.steps[-1])
+    if len(set(counts.values())) == 1 and len(found.steps) == len(found.runs[0].steps):
+        return f"compared over all {len(found.steps)} steps, {low} to {high}"
+    has = ", ".join(f"{name} has {count}" for name, count in counts.items())
+    return f"{has} steps: compared over the {len(found.steps)} that all have, {low} to {high}"
+
+
+def _made(first: Run, run: Run) -> str:
+    parts = [f"{name} {_shown(name, a)} -> {_shown(name, b)}" for name, (a, b) in differences(first, run).items()]
+    mine, its = set(first.filters), set(run.filters)
+    parts += [f"without {', '.join(sorted(mine - its))}"] if mine - its else []
+    parts += [f"with {', '.join(sorted(its - mine))}"] if its - mine else []
+    if not parts:
+        return f"{run.name} was made like {first.name}: source, seed, parameters, filters and versions are the same"
+    return f"{run.name} differs from {first.name}: {'; '.join(parts)}"
+
+
+def _data(first: Run, run: Run, steps: Ints) -> str:
+    data = data_of(first, run, steps)
+    same = _and(data.equal)
+    if data.same and data.equal:
+        are = "is" if data.equal == ["odometry"] or len(data.equal) == 1 and data.equal != ["observations"] else "are"
+        return f"{run.name} saw the same data as {first.name}: {same} {are} equal at every step"
+    if data.same:
+        return f"{run.name} says it saw the same data as {first.name}; the recordings hold nothing to check that by"
+    if not data.other:
+        return f"whether {run.name} saw the same data as {first.name} cannot be told from the recordings"
+    apart = _and([f"{name} from step {step} on" for name, step in data.other.items()])
+    rest = f"; {same} the same" if data.equal else ""
+    text = f"{run.name} saw other data than {first.name}: other {apart}{rest}"
+    if not _said_to_be_same(first, run):
+        return text
+    return f"{text}, although both say they have source, noise and seed in common (was the world, the log or noise changed?)"
+
+
+def _moments(first: Run, run: Run, steps: Ints) -> list[str]:
+    both = [i for i in steps.tolist() if i in first.times and i in run.times]
+    gap = max((abs(first.times[i] - run.times[i]) for i in both), default=0.0)
+    if gap <= APART:
+        return []
+    return [f"the same step is not the same moment in {first.name} and {run.name}: up to {gap:.3g} s lie between"]
+
+
+def _changed(run: Run) -> Iterator[str]:
+    if run.changes:
+        told = "; ".join(f"{text} at step {step}" for step, text in run.changes)
+        yield f"{run.name} was changed while it ran: {told}"
+
+
+def _same_runs(found: Comparison) -> list[str]:
+    """Which filters are one run, bit for bit."""
+    said: dict[str, list[str]] = {}
+    for one in found.filters:
+        for column in one.columns[1:]:
+            if column.parts_at is None:
+                pair = f"in {one.columns[0].run.name} and {column.run.name}"
+                said.setdefault(pair, []).append(one.title)
+    return [
+        f"{_and(titles)} {'is' if len(titles) == 1 else 'are'} the same run {pair}: every number, bit for bit"
+        for pair, titles in said.items()
+    ]
+
+
+def _missing(found: Comparison) -> Iterator[str]:
+    """Which rows cannot be there."""
+    for run in found.runs:
+        columns = [column for one in found.filters if (column := one.column(run))]
+        if all(np.isnan(column.series["position_error_m"]).all() for column in columns):
+            yield f"{run.name} knows no truth: it has no errors and no NEES"
+    for one in found.filters:
+        if len(one.steps) < len(found.steps):
+            yield f"{one.title} was not always on: compared over {len(one.steps)} steps, {_span(one)}"
+
+
+def _span(one: Filter) -> str:
+    return f"{one.steps[0]} to {one.steps[-1]}"
+
+
+def all_the_same(found: Comparison) -> bool:
+    """Whether every filter is one run in all."""
+    return all(
+        len(one.columns) == len(found.runs) and all(column.parts_at is None for column in one.columns)
+        for one in found.filters
+    )
+
+
+def no_statistics(found: Comparison) -> list[str]:
+    """That single runs say little, and what would say more: a sentence, then commands."""
+    if all_the_same(found):
+        return ["nothing differs but the clock: these are the same runs"]
+    commands, lost = study_commands(found.runs)
+    text = "a difference between single runs may be luck, more or less so from seed to seed; a study says how much:"
+    if lost:
+        text = (
+            f"{text[:-1]} (it takes a world file instead of {', '.join(lost)}: dualslam worlds NAME --write FILE.toml):"
+        )
+    return [text, *commands]
+
+
+def study_commands(runs: Sequence[Run]) -> tuple[list[str], list[str]]:
+    """One for all runs, or as many as have different options beside K; and the options that no study has."""
+    from app.command import option_names  # which knows this module
+    from app.sources import all_world_options
+    from app.study import STUDIES
+
+    name = "laser-log" if runs[0].told["kind"] == "log" and runs[0].walls else "log-error"
+    taken = option_names(STUDIES[name]) - {"--filters", "--particles", "--seed", "--seeds", "--jobs", "--out"}
+    found: dict[tuple[str, ...], set[int]] = {}
+    lost: list[str] = []
+    for run in runs:
+        source, options = _command(run)
+        keys = [key for key in run.filters if any(key in other.filters for other in runs)]
+        kept = [word for option, *rest in options if option in taken for word in (option, *rest)]
+        lost += [option for option, *_ in options if option in all_world_options() and option not in (*taken, *lost)]
+        words = ("dualslam", "study", name, source, "--filters", *keys, *kept)
+        found.setdefault(words, set()).add(int(run.told["params"]["particles"]))
+    commands = [shlex.join([*words, "--particles", *map(str, sorted(many))]) for words, many in found.items()]
+    return commands, lost
+
+
+def _command(run: Run) -> tuple[str, list[list[str]]]:
+    """The source as it was typed, and the options, each with its values; of a session without a command its name."""
+    from app.command import parse
+    from app.run import SessionOptions
+
+    words = shlex.split(run.told["command"])[1:]
+    try:
+        command, _ = parse(words)
+    except (UsageError, ValueError, SystemExit):
+        return run.told["world"], []
+    if not isinstance(command, SessionOptions) or not command.source:
+        return run.told["world"], []
+    options: list[list[str]] = []
+    for word in words[1:]:
+        if word.startswith("--"):
+            options.append(word.split("=", 1))
+        elif options and word != command.source:
+            options[-1].append(word)
+    return command.source, options
+
+
+def _and(names: Sequence[str]) -> str:
+    *head, last = names or [""]
+    return f"{', '.join(head)} and {last}" if head else last
+
+
+def _shown(name: str, value: Any) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else "none" if value is None else str(value)
+    return f"{text} rad" if value is not None and name.rpartition(".")[2] in RADIANS else text
+
+
+def _flat(value: dict[str, Any], prefix: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, inner in value.items():
+        found |= _flat(inner, f"{prefix}{name}.") if isinstance(inner, dict) else {prefix + name: inner}
+    return found
