@@ -11,7 +11,6 @@ from rich.console import Console
 
 from app import values
 from app.errors import UsageError
-from app.files import check_directory
 from app.options import default
 from app.report import print_whole
 
@@ -48,14 +47,16 @@ class Compare:
             )
         if own:
             raise UsageError(f"unknown option {next(iter(own))}; dualslam compare --help lists them")
-        if self.out is not None:
-            check_directory("--out", self.out)
         from app.compare.numbers import compare
-        from app.compare.runs import read_runs
+        from app.compare.runs import read_runs, split_branch
         from app.compare.table import filter_table
         from app.compare.words import no_statistics, sentences, unfinished
 
         out, err = Console(highlight=False), Console(stderr=True, highlight=False)
+        if self.out is not None:
+            from app.compare.output import check
+
+            check(self.out, [split_branch(name)[0] for name in self.recordings])
         runs = read_runs(self.recordings)
         for warning in unfinished(runs):
             err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)

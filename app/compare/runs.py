@@ -71,6 +71,11 @@ class Place(NamedTuple):
     paths: dict[str, list[Floats]]
     """Of the best particle, by filter."""
 
+    def points(self) -> list[Floats]:
+        """All that a map must hold: dead reckoning may leave it."""
+        ways = [line for path in self.paths.values() for line in path]
+        return [*self.truth, *self.true_walls, *self.true_landmarks, *ways]
+
 
 class Run(NamedTuple):
     """One of those that are compared."""

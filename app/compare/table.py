@@ -22,7 +22,7 @@ def header(one: Filter, found: Comparison) -> list[str]:
     for run in found.runs:
         titles.append(run.name)
         if run is not one.columns[0].run:
-            titles.append(f"- {one.columns[0].run.name}" if one.column(run) else "")
+            titles.append(f"{run.name} - {one.columns[0].run.name}" if one.column(run) else "")
     return titles
 
 
@@ -37,13 +37,15 @@ def rows(one: Filter, found: Comparison) -> Iterator[Cells]:
 def difference(row: Row, one: Filter, column: Column) -> str:
     """From the first column, in the unit of the row, and in percent of that; `=` for no difference at all."""
     mine, first = column.values[row.key], one.columns[0].values[row.key]
-    if mine == first or column.parts_at is None and row.series != "seconds":
+    if mine == first or (column.parts_at is None and row.series != "seconds"):
         return "=" if not math.isnan(mine) else ""
     apart = row.factor * one.difference(row, column)
     if math.isnan(apart):
         return ""
     text = f"{'+' if apart > 0 else ''}{_short(apart)}"
-    if row.unit == "%" or not first:
+    if row.unit == "%":
+        return f"{text} points"
+    if not first:
         return text
     share = 100.0 * (mine - first) / abs(first)
     return f"{text} ({share:+.0f} %)" if abs(share) < 1000 else text

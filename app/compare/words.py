@@ -11,6 +11,7 @@ import numpy as np
 from app.compare.numbers import Comparison, Filter
 from app.compare.runs import BRANCH_MARK, Run
 from app.errors import UsageError
+from slam.estimators import ESTIMATORS
 from slam.types import Ints
 
 RADIANS = ("turn", "bearing", "floor_angle")
@@ -121,20 +122,17 @@ def _made(first: Run, run: Run) -> str:
 
 def _data(first: Run, run: Run, steps: Ints) -> str:
     data = data_of(first, run, steps)
-    same = _and(data.equal)
     if data.same and data.equal:
-        are = "is" if data.equal == ["odometry"] or len(data.equal) == 1 and data.equal != ["observations"] else "are"
-        return f"{run.name} saw the same data as {first.name}: {same} {are} equal at every step"
+        are = "is" if data.equal in (["truth"], ["odometry"]) else "are"
+        return f"{run.name} saw the same data as {first.name}: {_and(data.equal)} {are} equal at every step"
     if data.same:
         return f"{run.name} says it saw the same data as {first.name}; the recordings hold nothing to check that by"
     if not data.other:
         return f"whether {run.name} saw the same data as {first.name} cannot be told from the recordings"
     apart = _and([f"{name} from step {step} on" for name, step in data.other.items()])
-    rest = f"; {same} the same" if data.equal else ""
-    text = f"{run.name} saw other data than {first.name}: other {apart}{rest}"
-    if not _said_to_be_same(first, run):
-        return text
-    return f"{text}, although both say they have source, noise and seed in common (was the world, the log or noise changed?)"
+    rest = f"; {_and(data.equal)} the same" if data.equal else ""
+    doubt = ", although source, noise and seed are said to be the same" if _said_to_be_same(first, run) else ""
+    return f"{run.name} saw other data than {first.name}: other {apart}{rest}{doubt}"
 
 
 def _moments(first: Run, run: Run, steps: Ints) -> list[str]:
@@ -193,12 +191,12 @@ def no_statistics(found: Comparison) -> list[str]:
     if all_the_same(found):
         return ["nothing differs but the clock: these are the same runs"]
     commands, lost = study_commands(found.runs)
-    text = "a difference between single runs may be luck, more or less so from seed to seed; a study says how much:"
+    text = "one run each is no statistics: with another seed a difference may be another one; a study says how much"
     if lost:
-        text = (
-            f"{text[:-1]} (it takes a world file instead of {', '.join(lost)}: dualslam worlds NAME --write FILE.toml):"
+        text += (
+            f" ({_and(lost)}: it wants a world file, which dualslam worlds NAME {lost[0]} ... --write FILE.toml makes)"
         )
-    return [text, *commands]
+    return [f"{text}:", *commands]
 
 
 def study_commands(runs: Sequence[Run]) -> tuple[list[str], list[str]]:
@@ -209,16 +207,19 @@ def study_commands(runs: Sequence[Run]) -> tuple[list[str], list[str]]:
 
     name = "laser-log" if runs[0].told["kind"] == "log" and runs[0].walls else "log-error"
     taken = option_names(STUDIES[name]) - {"--filters", "--particles", "--seed", "--seeds", "--jobs", "--out"}
-    found: dict[tuple[str, ...], set[int]] = {}
+    found: dict[tuple[str, ...], list[Run]] = {}
     lost: list[str] = []
     for run in runs:
         source, options = _command(run)
-        keys = [key for key in run.filters if any(key in other.filters for other in runs)]
         kept = [word for option, *rest in options if option in taken for word in (option, *rest)]
-        lost += [option for option, *_ in options if option in all_world_options() and option not in (*taken, *lost)]
-        words = ("dualslam", "study", name, source, "--filters", *keys, *kept)
-        found.setdefault(words, set()).add(int(run.told["params"]["particles"]))
-    commands = [shlex.join([*words, "--particles", *map(str, sorted(many))]) for words, many in found.items()]
+        lost += [option for option, *_ in options if option in all_world_options() - taken and option not in lost]
+        found.setdefault((source, *kept), []).append(run)
+    commands = []
+    for (source, *kept), group in found.items():
+        keys = [key for key in ESTIMATORS if any(key in run.filters for run in group)]
+        many = sorted({int(run.told["params"]["particles"]) for run in group})
+        words = ["dualslam", "study", name, source, "--filters", *keys, "--particles", *map(str, many), *kept]
+        commands.append(shlex.join(words))
     return commands, lost
 
 
