@@ -42,7 +42,7 @@ DASHES: tuple[Any, ...] = (
 )
 """Of the runs, beside their shades."""
 
-LETTERS = {
+LETTERS: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
@@ -58,6 +58,9 @@ LETTERS = {
     "svg.fonttype": "none",
 }
 """With letters as letters in SVG, and no random names: the same runs, the same file."""
+
+ALIKE = 5.0
+"""Factor between the highest values of filters above which each has its own scale: runs are to be compared."""
 
 LOG_FLOOR = 1e-2
 """Of the NEES: what is below is drawn there."""
@@ -81,10 +84,19 @@ class Plot(NamedTuple):
     logarithmic: bool = False
 
 
+def _clipped(nees: Floats) -> Floats:
+    return np.clip(nees, LOG_FLOOR, LOG_TOP)
+
+
 PLOTS = (
     Plot("position-error", "position error [m]", lambda s: s["position_error_m"]),
     Plot("heading-error", "heading error [°]", lambda s: np.degrees(s["heading_error_rad"])),
-    Plot("nees", "NEES of the position", lambda s: np.clip(s["nees"], LOG_FLOOR, LOG_TOP), logarithmic=True),
+    Plot(
+        "nees",
+        "NEES of the position (10⁶: infinite)",
+        lambda s: np.clip(s["nees"], LOG_FLOOR, LOG_TOP),
+        logarithmic=True,
+    ),
     Plot("n-eff", "N_eff [particles]", lambda s: s["n_eff"], population=True),
     Plot("diversity", "diversity [%]", lambda s: 100.0 * s["diversity"], population=True, top=103.0),
     Plot("features", "features", lambda s: s["features"]),
@@ -133,9 +145,11 @@ def _over_steps(plot: Plot, found: Comparison) -> Figure | None:
     if not drawn:
         return None
     figure = Figure(figsize=(WIDTH, 0.9 + 1.75 * len(drawn)), layout="constrained")
-    panels = figure.subplots(len(drawn), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    shared = plot.logarithmic or _alike([np.nanmax(np.concatenate(values)) for _, values in drawn])
+    panels = figure.subplots(len(drawn), 1, sharex=True, sharey=shared, squeeze=False)[:, 0]
     for axes, (one, values) in zip(panels, drawn, strict=True):
-        axes.set_title(one.title, loc="left", color=_colour(_readable(one.key)))
+        title = one.title if shared else f"{one.title} (a scale of its own)"
+        axes.set_title(title, loc="left", color=_colour(_readable(one.key)))
         axes.grid(visible=True)
         axes.set_axisbelow(True)
         if plot.name == "nees":
@@ -143,14 +157,20 @@ def _over_steps(plot: Plot, found: Comparison) -> Figure | None:
         for column, line in zip(one.columns, values, strict=True):
             axes.plot(one.steps, line, **_style(one.key, found.runs.index(column.run)))
         axes.margins(x=0.01)
-    if plot.logarithmic:
-        panels[0].set_yscale("log")  # the axes are shared
-    else:
-        panels[0].set_ylim(bottom=0.0, top=plot.top)
+    for axes in panels:  # when everything is drawn: shared axes fit what was drawn until their limits are set
+        if plot.logarithmic:
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=0.0, top=plot.top)
     panels[-1].set_xlabel("step")
     figure.supylabel(plot.title, fontsize=9)
     _legend(figure, "upper", [*_keys(found.runs), *([_key_of_band()] if plot.name == "nees" else [])])
     return figure
+
+
+def _alike(highest: Sequence[float]) -> bool:
+    """Whether panels that reach so high can have one scale, without one of them being flat."""
+    return max(highest) <= ALIKE * min(highest)
 
 
 def _paths(found: Comparison) -> Figure:
@@ -223,7 +243,8 @@ def _keys(runs: Sequence[Run]) -> Iterator[Any]:
 
 def _legend(figure: Figure, edge: str, keys: Sequence[Any]) -> None:
     """Above or below everything, where there are no lines."""
-    figure.legend(handles=list(keys), loc=f"outside {edge} left", ncols=5, frameon=False, handlelength=3.2)
+    place: Any = f"outside {edge} left"
+    figure.legend(handles=list(keys), loc=place, ncols=5, frameon=False, handlelength=3.2)
 
 
 def _style(key: str, rank: int) -> dict[str, Any]:

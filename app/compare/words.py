@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.compare.numbers import Comparison, Filter
-from app.compare.runs import BRANCH_MARK, Run
+from app.compare.runs import BRANCH_MARK, Run, common_steps
 from app.errors import UsageError
 from slam.estimators import ESTIMATORS
 from slam.types import Ints
 
 RADIANS = ("turn", "bearing", "floor_angle")
 """Parameters that are angles."""
+
+OF_A_STUDY = {"--filters", "--particles", "--steps", "--seed", "--seeds", "--jobs", "--out", "--picture"}
+"""Options that its command does not take over from those of runs."""
 
 APART = 1e-6
 """[s] within which two times are one."""
@@ -165,13 +168,19 @@ def _same_runs(found: Comparison) -> list[str]:
 
 def _missing(found: Comparison) -> Iterator[str]:
     """Which rows cannot be there."""
-    for run in found.runs:
-        columns = [column for one in found.filters if (column := one.column(run))]
-        if all(np.isnan(column.series["position_error_m"]).all() for column in columns):
-            yield f"{run.name} knows no truth: it has no errors and no NEES"
+    blind = [run.name for run in found.runs if not _knows(run, found)]
+    if len(blind) == len(found.runs):
+        yield "nobody knows the truth: there are no errors and no NEES"
+    elif blind:
+        yield f"nobody knows the truth in {_and(blind)}: no errors and no NEES there"
     for one in found.filters:
         if len(one.steps) < len(found.steps):
             yield f"{one.title} was not always on: compared over {len(one.steps)} steps, {_span(one)}"
+
+
+def _knows(run: Run, found: Comparison) -> bool:
+    columns = [column for one in found.filters if (column := one.column(run))]
+    return any(np.isfinite(column.series["position_error_m"]).any() for column in columns)
 
 
 def _span(one: Filter) -> str:
@@ -190,37 +199,40 @@ def no_statistics(found: Comparison) -> list[str]:
     """That single runs say little, and what would say more: a sentence, then commands."""
     if all_the_same(found):
         return ["nothing differs but the clock: these are the same runs"]
-    commands, lost = study_commands(found.runs)
-    text = "one run each is no statistics: with another seed a difference may be another one; a study says how much"
-    if lost:
-        text += (
-            f" ({_and(lost)}: it wants a world file, which dualslam worlds NAME {lost[0]} ... --write FILE.toml makes)"
-        )
-    return [f"{text}:", *commands]
+    text = "one run each is no statistics: with another seed a difference may be another one; a study says how much:"
+    return [text, *study_commands(found.runs)]
 
 
-def study_commands(runs: Sequence[Run]) -> tuple[list[str], list[str]]:
-    """One for all runs, or as many as have different options beside K; and the options that no study has."""
+def study_commands(runs: Sequence[Run]) -> list[str]:
+    """One for all runs, or as many as have different options beside K.
+
+    A study takes no options of worlds; worlds that were given some become files first.
+    """
     from app.command import option_names  # which knows this module
     from app.sources import all_world_options
     from app.study import STUDIES
 
     name = "laser-log" if runs[0].told["kind"] == "log" and runs[0].walls else "log-error"
-    taken = option_names(STUDIES[name]) - {"--filters", "--particles", "--seed", "--seeds", "--jobs", "--out"}
-    found: dict[tuple[str, ...], list[Run]] = {}
-    lost: list[str] = []
+    taken, of_worlds = option_names(STUDIES[name]), all_world_options()
+    groups: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[Run]] = {}
     for run in runs:
         source, options = _command(run)
-        kept = [word for option, *rest in options if option in taken for word in (option, *rest)]
-        lost += [option for option, *_ in options if option in all_world_options() - taken and option not in lost]
-        found.setdefault((source, *kept), []).append(run)
+        own = tuple(word for option in options if option[0] in of_worlds - taken for word in option)
+        kept = tuple(word for option in options if option[0] in taken - OF_A_STUDY for word in option)
+        groups.setdefault((source, own, kept), []).append(run)
+    part = "--steps" in taken and any("--steps" in run.told["command"] for run in runs)
+    steps = ["--steps", f"{common_steps(runs)[-1]}"] if part else []
     commands = []
-    for (source, *kept), group in found.items():
+    for number, ((source, own, kept), group) in enumerate(groups.items(), 1):
+        if own:
+            file = f"{source}-{number}.toml"
+            commands.append(["dualslam", "worlds", source, *own, "--write", file])
+            source = file
         keys = [key for key in ESTIMATORS if any(key in run.filters for run in group)]
         many = sorted({int(run.told["params"]["particles"]) for run in group})
-        words = ["dualslam", "study", name, source, "--filters", *keys, "--particles", *map(str, many), *kept]
-        commands.append(shlex.join(words))
-    return commands, lost
+        what = ["--filters", *keys, "--particles", *map(str, many), *steps, *kept]
+        commands.append(["dualslam", "study", name, source, *what])
+    return [shlex.join(words) for words in commands]
 
 
 def _command(run: Run) -> tuple[str, list[list[str]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import rerun as rr
@@ -28,6 +28,9 @@ the eye is at most 1.6 times as far away as for a map alone, and still tells the
 
 COMPARED_ASPECT = 3.5
 """Width over height of all maps of a comparison together."""
+
+LEGEND_LINES = 12
+"""Above so many, a legend would hide the plot; a line that is pointed at tells its name."""
 
 BACKGROUND = colours.BACKGROUND
 
@@ -132,7 +135,8 @@ def _beside(runs: Sequence[Shown], key: str = "") -> rrb.Container:
     columns = min(range(1, len(runs) + 1), key=distance)
     placed = [run._replace(aspect=aspect(columns)) for run in runs]
     if not key:
-        return rrb.Grid(*map(_map_of_all, placed), grid_columns=columns, name="All filters")
+        maps = [_map_of_all(run._replace(legend="")) for run in placed]  # titles are cut where they are long
+        return rrb.Grid(*maps, grid_columns=columns, name="All filters")
     estimator = next(f for f in runs[0].filters if f.key == key)
     named = f"{estimator.title}: map, all surviving paths, the maps of all particles"
     maps = [_map_view(f"{run.label}: {named}{run.legend}", run, [estimator], whole=True) for run in placed]
@@ -254,15 +258,17 @@ GROUPS = {
 AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
 
 
-def _plots(branches: Sequence[Shown], beside: type[rrb.Container] = rrb.Vertical) -> rrb.Container:
+def _plots(branches: Sequence[Shown], beside: Callable[..., rrb.Container] = rrb.Vertical) -> rrb.Container:
     """One tab for each group, and in each one plot with the legend: the colours are the same in all."""
     known = frozenset().union(*(branch.known for branch in branches))
     tabs = []
     for name, members in GROUPS.items():
         shown = [m for m in (BY_NAME[n] for n in members) if not m.needs or m.needs in known]
         explained = next((m for m in shown if not m.population), shown[0] if shown else None)
+        lines = sum(len(branch.filters) for branch in branches)
         if shown:
-            tabs.append(beside(*(_plot(m, branches, m is explained) for m in shown), name=name))
+            plots = [_plot(m, branches, m is explained and lines <= LEGEND_LINES) for m in shown]
+            tabs.append(beside(*plots, name=name))
     return rrb.Tabs(*tabs, active_tab=0)
 
 
