@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -13,6 +13,10 @@ from app import values
 from app.errors import UsageError
 from app.options import default
 from app.report import print_whole
+
+if TYPE_CHECKING:
+    from app.compare.numbers import Comparison
+    from app.compare.output import Told
 
 MOST = 8
 """Recordings: more than anybody tells apart in one plot."""
@@ -48,30 +52,33 @@ class Compare:
         if own:
             raise UsageError(f"unknown option {next(iter(own))}; dualslam compare --help lists them")
         from app.compare.numbers import compare
+        from app.compare.output import Told, check, write
         from app.compare.runs import read_runs, split_branch
-        from app.compare.table import filter_table
         from app.compare.words import no_statistics, sentences, unfinished
 
-        out, err = Console(highlight=False), Console(stderr=True, highlight=False)
         if self.out is not None:
-            from app.compare.output import check
-
             check(self.out, [split_branch(name)[0] for name in self.recordings])
         runs = read_runs(self.recordings)
+        err = Console(stderr=True, highlight=False)
         for warning in unfinished(runs):
             err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
         found = compare(runs)
-        for sentence in sentences(found):
-            out.print(sentence, soft_wrap=True, markup=False)
-        for one in found.filters:
-            out.print()
-            print_whole(out, filter_table(one, found))
-        out.print()
-        for line in no_statistics(found):
+        told = Told(sentences(found), no_statistics(found))
+        out = Console(highlight=False)
+        _print(found, told, out)
+        for line in write(found, told, self.out, command) if self.out is not None else ():
             out.print(line, soft_wrap=True, markup=False)
-        if self.out is not None:
-            from app.compare.output import write
-
-            for line in write(found, self.out, command):
-                out.print(line, soft_wrap=True, markup=False)
         return 0
+
+
+def _print(found: Comparison, told: Told, out: Console) -> None:
+    from app.compare.table import filter_table
+
+    for sentence in told.said:
+        out.print(sentence, soft_wrap=True, markup=False)
+    for one in found.filters:
+        out.print()
+        print_whole(out, filter_table(one, found))
+    out.print()
+    for line in told.study:
+        out.print(line, soft_wrap=True, markup=False)

@@ -36,7 +36,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from app.compare import plots
 from app.compare.numbers import Column, Comparison, Filter
 from app.compare.runs import Run, root_of
 from app.compare.table import markdown
-from app.compare.words import data_of, differences, no_statistics, sentences
+from app.compare.words import data_of, differences
 from app.errors import UsageError
 from app.files import check_directory, check_file, write_whole
 from app.recording.ground import Extent
@@ -84,28 +84,37 @@ def check(folder: Path, files: list[Path]) -> None:
         )
 
 
-def write(found: Comparison, folder: Path, command: str) -> Iterator[str]:
+class Told(NamedTuple):
+    """What is said beside the numbers."""
+
+    said: list[str]
+    """Before them: what differs."""
+    study: list[str]
+    """After them: that one run each is no statistics."""
+
+
+def write(found: Comparison, told: Told, folder: Path, command: str) -> Iterator[str]:
     """Write everything; sentences on what is where."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn = plots.draw(found, folder)
     yield f"plots: {folder}/{{{','.join(drawn)}}}.{{png,svg}}"
-    write_whole(folder / JSON, dump(as_dict(found, command, drawn)))
+    write_whole(folder / JSON, dump(as_dict(found, told, command, drawn)))
     yield f"numbers: {folder / JSON}"
     merged = folder / MERGED
-    merge(merged, [_part(run, found) for run in found.runs], _extent(found), page(found))
+    merge(merged, [_part(run, found) for run in found.runs], _extent(found), page(found, told))
     yield f"recording: {merged}   (open it with: rerun {shlex.quote(str(merged))})"
 
 
-def page(found: Comparison) -> str:
+def page(found: Comparison, told: Told) -> str:
     """Markdown: what is said and the tables, for the merged recording."""
-    said = "\n".join(f"- {sentence}" for sentence in sentences(found))
+    said = "\n".join(f"- {sentence}" for sentence in told.said)
     tables = "\n\n".join(markdown(one, found) for one in found.filters)
-    luck, *commands = no_statistics(found)
+    luck, *commands = told.study
     study = "\n".join(f"    {command}" for command in commands)
     return f"# {' | '.join(run.name for run in found.runs)}\n\n{said}\n\n{tables}\n\n{luck}\n\n{study}\n"
 
 
-def as_dict(found: Comparison, command: str, drawn: list[str]) -> dict[str, Any]:
+def as_dict(found: Comparison, told: Told, command: str, drawn: list[str]) -> dict[str, Any]:
     """As the module's docstring lays it out."""
     return plain(
         {
@@ -113,8 +122,8 @@ def as_dict(found: Comparison, command: str, drawn: list[str]) -> dict[str, Any]
             "version": version(),
             "command": command,
             "steps": _span(found.steps),
-            "said": sentences(found),
-            "study": no_statistics(found),
+            "said": told.said,
+            "study": told.study,
             "runs": [_run(run, found) for run in found.runs],
             "filters": {one.key: _filter(one) for one in found.filters},
             "plots": drawn,
@@ -184,12 +193,13 @@ def _part(run: Run, found: Comparison) -> Part:
 
 def _extent(found: Comparison) -> Extent:
     """What holds the true map and the ways of all runs: of filters, where nobody knows the truth."""
-    lines = [np.zeros((0, 2))]
+    lines, share, room = [np.zeros((0, 2))], 0.02, 0.5
     for run in found.runs:
         place = run.place(int(run.steps[-1]))
-        known_ones = [*place.truth, *place.true_walls, *place.true_landmarks]
-        lines += known_ones or place.points()
+        of_truth = [*place.truth, *place.true_walls, *place.true_landmarks]
+        share, room = (share, room) if of_truth else (0.08, 5.0)  # as where nobody knows what else there is
+        lines += of_truth or place.points()
     points = np.concatenate(lines)
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.ones(2))
-    margin = max(0.02 * float(max(high - low)), 0.5)
+    margin = max(share * float(max(high - low)), room)
     return Extent(low - margin, high + margin)

@@ -195,7 +195,10 @@ def _filters(recording: Recording, root: str) -> dict[str, Numbers]:
 
 def _numbers(recording: Recording, root: str, key: str) -> Numbers:
     series = {name: _series(recording, f"{root}plots/{plot}/{key}") for name, (plot, _) in SERIES.items()}
-    steps = reduce(np.union1d, [there for there, _ in series.values()]).astype(np.int64)
+    # All are written at every step; at the end of a damaged file some may lack what others have.
+    steps = reduce(np.intersect1d, [there for there, _ in series.values() if len(there)] or [np.zeros(0)]).astype(
+        np.int64
+    )
     said = f" {ESTIMATORS[key].title} resampled: "
     resampled = [event.step for event in recording.events(f"{root}events") if said in event.text]
     aligned = {name: SERIES[name][1] * _aligned(steps, *found) for name, found in series.items()}
@@ -210,10 +213,8 @@ def _series(recording: Recording, entity: str, timeline: str = "step") -> tuple[
 
 
 def _aligned(wanted: Ints, steps: Ints | Floats, values: Floats) -> Floats:
-    """A series at the wanted steps; NaN where it has none, as at the end of a damaged file."""
-    found = np.full(len(wanted), np.nan)
-    found[np.searchsorted(wanted, steps)] = values
-    return found
+    """A series at the wanted steps; all NaN if there is no such thing."""
+    return values[np.isin(steps, wanted)] if len(steps) else np.full(len(wanted), np.nan)
 
 
 def _changes(recording: Recording, root: str) -> list[tuple[int, str]]:

@@ -20,6 +20,8 @@ RADIANS = ("turn", "bearing", "floor_angle")
 OF_A_STUDY = {"--filters", "--particles", "--steps", "--seed", "--seeds", "--jobs", "--out", "--picture"}
 """Options that its command does not take over from those of runs."""
 
+OF_A_SOURCE = ("options.", "noise.")
+
 APART = 1e-6
 """[s] within which two times are one."""
 
@@ -70,7 +72,7 @@ def _said_to_be_same(first: Run, other: Run) -> bool:
     """Of a log, whose noise is its own, the seed is only that of the filters."""
     what = ("source", "kind", "start", *(("seed",) if first.told["kind"] == "world" else ()))
     names = differences(first, other)
-    return not any(name in what or name.startswith(("noise.", "options.")) for name in names)
+    return not any(name in what or name.startswith(OF_A_SOURCE) for name in names)
 
 
 def sentences(found: Comparison) -> list[str]:
@@ -99,9 +101,10 @@ def unfinished(runs: Sequence[Run]) -> Iterator[str]:
 def _odd(runs: Sequence[Run]) -> Iterator[str]:
     """What was not read as somebody may have expected."""
     for run in runs:
-        if run.branches and not run.branch:
-            named = ", ".join(f"{run.path}{BRANCH_MARK}{branch}" for branch in run.branches)
-            yield f"{run.name} is the first run of a live session; its branches are compared as {named}"
+        there = {other.branch for other in runs if other.path == run.path}
+        left = [f"{run.path}{BRANCH_MARK}{branch}" for branch in run.branches if branch not in there]
+        if left and not run.branch:
+            yield f"{run.name} is the first run of a live session; it went on differently as {', '.join(left)}"
 
 
 def _steps(found: Comparison) -> str:
@@ -114,7 +117,10 @@ def _steps(found: Comparison) -> str:
 
 
 def _made(first: Run, run: Run) -> str:
-    parts = [f"{name} {_shown(name, a)} -> {_shown(name, b)}" for name, (a, b) in differences(first, run).items()]
+    apart = differences(first, run)
+    if "source" in apart or "kind" in apart:  # then of course
+        apart = {name: pair for name, pair in apart.items() if name != "start" and not name.startswith(OF_A_SOURCE)}
+    parts = [f"{name} {_pair(name, a, b)}" for name, (a, b) in apart.items()]
     mine, its = set(first.filters), set(run.filters)
     parts += [f"without {', '.join(sorted(mine - its))}"] if mine - its else []
     parts += [f"with {', '.join(sorted(its - mine))}"] if its - mine else []
@@ -132,7 +138,9 @@ def _data(first: Run, run: Run, steps: Ints) -> str:
         return f"{run.name} says it saw the same data as {first.name}; the recordings hold nothing to check that by"
     if not data.other:
         return f"whether {run.name} saw the same data as {first.name} cannot be told from the recordings"
-    apart = _and([f"{name} from step {step} on" for name, step in data.other.items()])
+    begins = set(data.other.values())
+    names = [name if len(begins) == 1 else f"{name} from step {step} on" for name, step in data.other.items()]
+    apart = _and(names) + (f" from step {begins.pop()} on" if len(begins) == 1 else "")
     rest = f"; {_and(data.equal)} the same" if data.equal else ""
     doubt = ", although source, noise and seed are said to be the same" if _said_to_be_same(first, run) else ""
     return f"{run.name} saw other data than {first.name}: other {apart}{rest}{doubt}"
@@ -240,11 +248,12 @@ def _command(run: Run) -> tuple[str, list[list[str]]]:
     from app.command import parse
     from app.run import SessionOptions
 
-    words = shlex.split(run.told["command"])[1:]
+    words = run.told["command"].split(" ", 1)[1:]  # of another program, if it was begun from Python
     try:
-        command, _ = parse(words)
-    except (UsageError, ValueError, SystemExit):
-        return run.told["world"], []
+        words = shlex.split(*words)
+        command = parse(words)[0] if words[:1] in (["run"], ["live"]) else None
+    except (UsageError, ValueError):
+        command = None
     if not isinstance(command, SessionOptions) or not command.source:
         return run.told["world"], []
     options: list[list[str]] = []
@@ -261,9 +270,17 @@ def _and(names: Sequence[str]) -> str:
     return f"{', '.join(head)} and {last}" if head else last
 
 
-def _shown(name: str, value: Any) -> str:
-    text = f"{value:.6g}" if isinstance(value, float) else "none" if value is None else str(value)
-    return f"{text} rad" if value is not None and name.rpartition(".")[2] in RADIANS else text
+def _pair(name: str, a: Any, b: Any) -> str:
+    """Both, with as many digits as it takes to tell them apart."""
+    short = [_shown(value, ".6g") for value in (a, b)]
+    text = " -> ".join(short if short[0] != short[1] else [_shown(value, "") for value in (a, b)])
+    return f"{text} rad" if name.rpartition(".")[2] in RADIANS else text
+
+
+def _shown(value: Any, form: str) -> str:
+    if isinstance(value, list):
+        return f"({', '.join(_shown(part, form) for part in value)})"
+    return format(value, form) if isinstance(value, float) else "none" if value is None else str(value)
 
 
 def _flat(value: dict[str, Any], prefix: str) -> dict[str, Any]:
