@@ -1,4 +1,4 @@
-"""Who may import whom: app -> scenarios -> slam, Rerun, viser and Matplotlib each in one place, nothing happens at import."""
+"""Who may import whom: app -> scenarios -> slam, what draws in one place each, nothing happens at import."""
 
 from __future__ import annotations
 

@@ -109,11 +109,12 @@ def draw(found: Comparison, folder: Path) -> list[str]:
     import matplotlib as mpl
 
     with mpl.rc_context(LETTERS):
-        figures = [(plot.name, figure) for plot in PLOTS if (figure := _over_steps(plot, found)) is not None]
+        figures = [(plot.name, figure) for plot in PLOTS if (figure := over_steps(plot, found)) is not None]
         figures.append(("paths", _paths(found)))
         for name, figure in figures:
             for ending in ("png", "svg"):
                 _save(figure, folder / f"{name}.{ending}")
+                figure.set_layout_engine("none")  # it is laid out; again would take as long
     return [name for name, _ in figures]
 
 
@@ -135,7 +136,7 @@ def _save(figure: Figure, path: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def _over_steps(plot: Plot, found: Comparison) -> Figure | None:
+def over_steps(plot: Plot, found: Comparison) -> Figure | None:
     """A panel for each filter, all with the same axes; None if nobody has a value."""
     from matplotlib.figure import Figure
 

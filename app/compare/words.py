@@ -244,18 +244,20 @@ def study_commands(runs: Sequence[Run]) -> list[str]:
 
 
 def _command(run: Run) -> tuple[str, list[list[str]]]:
-    """The source as it was typed, and the options, each with its values; of a session without a command its name."""
+    """The source as it was typed, and the options, each with its values; or else its name."""
     from app.command import parse
     from app.run import SessionOptions
 
-    words = run.told["command"].split(" ", 1)[1:]  # of another program, if it was begun from Python
+    nothing = (run.told["world"], [])
     try:
-        words = shlex.split(*words)
-        command = parse(words)[0] if words[:1] in (["run"], ["live"]) else None
-    except (UsageError, ValueError):
-        command = None
+        _, *words = shlex.split(run.told["command"])
+        if words[:1] not in (["run"], ["live"]):
+            return nothing
+        command, _ = parse(words)
+    except (UsageError, ValueError):  # begun from Python, or by another version
+        return nothing
     if not isinstance(command, SessionOptions) or not command.source:
-        return run.told["world"], []
+        return nothing
     options: list[list[str]] = []
     for word in words[1:]:
         if word.startswith("--"):
