@@ -365,6 +365,15 @@ class TestFiles:
         with pytest.raises(UsageError, match=r"no step in common.*a has steps 1 to 14, again has steps 101 to 109"):
             compare([first, other._replace(filters=later)])
 
+    def test_a_filter_that_was_not_always_on(self, found):
+        first, other = found.runs
+        late = other.filters["fs2"]
+        late = late._replace(steps=late.steps[3:], series={name: of[3:] for name, of in late.series.items()})
+        both = compare([first, other._replace(filters={**other.filters, "fs2": late})])
+        assert [len(one.steps) for one in both.filters] == [STEPS, STEPS - 3, STEPS]
+        assert {len(column.series["nees"]) for column in both.filters[1].columns} == {STEPS - 3}
+        assert f"FastSLAM 2.0 was not always on: compared over {STEPS - 3} steps, 4 to {STEPS}" in sentences(both)
+
     def test_a_series_that_one_of_them_does_not_have(self, found):
         """Of another version of the program."""
         first, other = found.runs
@@ -452,9 +461,9 @@ class TestOutput:
         assert drawn == ["n-eff", "diversity", "features", "update"]
 
     def test_the_merged_recording(self, written, place, capsys):
-        import rerun.chunk
+        from rerun.chunk import RrdReader
 
-        reader = rerun.chunk.RrdReader(written / "compare.rrd")
+        reader = RrdReader(written / "compare.rrd")
         chunks = reader.store().stream().to_chunks()
         entities = {chunk.entity_path for chunk in chunks}
         for name in ("a", "more"):
@@ -469,6 +478,20 @@ class TestOutput:
         assert {timeline for chunk in moved for timeline in chunk.timeline_names} == {"step", "sim_time", "stage"}
         with pytest.raises(RecordingError, match="was merged from several recordings"):
             Recording(written / "compare.rrd")
+
+    def test_a_merged_branch_lies_beside_its_run(self, live, tmp_path):
+        """Not below it, too; and curves say whose they are."""
+        from rerun.chunk import RrdReader
+
+        assert cli.entry(["compare", str(live), f"{live}#six-particles", "--out", str(tmp_path)]) == 0
+        chunks = RrdReader(tmp_path / "compare.rrd").store().stream().to_chunks()
+        entities = {chunk.entity_path for chunk in chunks}
+        assert {e.split("/")[1] for e in entities} == {"live", "live-six-particles", "comparison", "__properties"}
+        assert not [e for e in entities if "branch" in e]
+        for name in ("live", "live-six-particles"):
+            look = [c for c in chunks if c.entity_path == f"/{name}/plots/n_eff/dfs" and c.is_static]
+            named = [batch.column("SeriesLines:names").to_pylist() for batch in (c.to_record_batch() for c in look)]
+            assert named == [[[f"Dual FastSLAM, {name.replace('live-', 'live#')}"]]]
 
     def test_side_by_side(self, written):
         viewer = required_viewer(written / "compare.rrd")
