@@ -36,7 +36,7 @@ ASSOCIATION: RGB = (255, 255, 255)
 BACKGROUND: RGB = (13, 16, 17)
 """Of dark views; what fades, fades into this."""
 
-TONES_ON_DARK = (0.0, 0.6, -0.45, 0.82, -0.2, 0.4, -0.6, 0.7)
+TONES_ON_DARK = (0.0, 0.5, -0.45, 0.82, -0.2, 0.4, -0.6, 0.7)
 TONES_ON_PAPER = (-0.45, 0.15, -0.7, -0.2, 0.4, -0.55, 0.0, -0.85)
 """Of runs that are compared: how far towards white, or black, neighbours far apart."""
 

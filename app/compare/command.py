@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -64,21 +65,21 @@ class Compare:
             err.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
         found = compare(runs)
         told = Told(sentences(found), no_statistics(found))
-        out = Console(highlight=False)
-        _print(found, told, out)
-        for line in write(found, told, self.out, command) if self.out is not None else ():
-            out.print(line, soft_wrap=True, markup=False)
+        # Before anything is printed: | head ends a program that prints.
+        saved = [] if self.out is None else write(found, told, self.out, command)
+        _print(found, told, saved)
         return 0
 
 
-def _print(found: Comparison, told: Told, out: Console) -> None:
+def _print(found: Comparison, told: Told, saved: Sequence[str]) -> None:
     from app.compare.table import filter_table
 
+    out = Console(highlight=False)
     for sentence in told.said:
         out.print(sentence, soft_wrap=True, markup=False)
     for one in found.filters:
         out.print()
         print_whole(out, filter_table(one, found))
     out.print()
-    for line in told.study:
+    for line in (*told.study, *saved):
         out.print(line, soft_wrap=True, markup=False)

@@ -34,7 +34,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,16 +92,21 @@ class Told(NamedTuple):
     """After them: that one run each is no statistics."""
 
 
-def write(found: Comparison, told: Told, folder: Path, command: str) -> Iterator[str]:
+def write(found: Comparison, told: Told, folder: Path, command: str) -> list[str]:
     """Write everything; sentences on what is where."""
     folder.mkdir(parents=True, exist_ok=True)
+    if (folder / JSON).exists():  # plots of an earlier comparison, not all of which may be drawn again
+        for name in plots.names():
+            (folder / name).unlink(missing_ok=True)
     drawn = plots.draw(found, folder)
-    yield f"plots: {folder}/{{{','.join(drawn)}}}.{{png,svg}}"
     write_whole(folder / JSON, dump(as_dict(found, told, command, drawn)))
-    yield f"numbers: {folder / JSON}"
     merged = folder / MERGED
     merge(merged, [_part(run, found) for run in found.runs], _extent(found), page(found, told))
-    yield f"recording: {merged}   (open it with: rerun {shlex.quote(str(merged))})"
+    return [
+        f"plots: {folder}/{{{','.join(drawn)}}}.{{png,svg}}",
+        f"numbers: {folder / JSON}",
+        f"recording: {merged}   (open it with: rerun {shlex.quote(str(merged))})",
+    ]
 
 
 def page(found: Comparison, told: Told) -> str:

@@ -441,6 +441,29 @@ class TestOutput:
         for path in tmp_path.iterdir():
             assert path.read_bytes() == (written / path.name).read_bytes(), path.name
 
+    def test_no_plot_of_an_earlier_comparison_is_left(self, place, summaries, tmp_path, monkeypatch):
+        (tmp_path / "compare.json").write_text("{}")
+        for name in ("nees.svg", "n-eff.svg", "mine.svg"):
+            (tmp_path / name).write_text("old")
+        monkeypatch.setattr(plots, "PLOTS", [plot for plot in plots.PLOTS if plot.name in ("nees", "n-eff")])
+        blind = str(place / "blind.rrd")
+        assert cli.entry(["compare", blind, blind, "--out", str(tmp_path)]) == 0
+        assert (tmp_path / "mine.svg").read_text() == "old"
+        assert {path.stem for path in tmp_path.glob("*.svg")} == {"n-eff", "paths", "mine"}
+        assert (tmp_path / "n-eff.svg").read_text() != "old"
+
+    def test_all_is_written_before_anything_is_printed(self, place, summaries, tmp_path, monkeypatch):
+        """| head ends a program that prints."""
+
+        def nobody_reads(*_):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("app.compare.command._print", nobody_reads)
+        monkeypatch.setattr(plots, "PLOTS", [])
+        a = str(place / "a.rrd")
+        assert cli.entry(["compare", a, a, "--out", str(tmp_path)]) == 130
+        assert {path.name for path in tmp_path.iterdir()} == {"compare.json", "compare.rrd", "paths.png", "paths.svg"}
+
     def test_no_line_is_cut_off(self, written, found):
         """The filters of a plot may share an axis, which must hold all of them."""
         import matplotlib as mpl
