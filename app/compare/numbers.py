@@ -26,6 +26,8 @@ class Column(NamedTuple):
     """K, to begin with; 1 for EKF-SLAM."""
     series: dict[str, Floats]
     """(T,) each, over the common steps."""
+    missing: frozenset[str]
+    """Those of them that the recording does not have."""
     values: dict[str, float]
     """By `Row.key`, in SI units and radians; NaN where it is not known."""
     parts_at: int | None
@@ -89,17 +91,16 @@ def _filter(key: str, runs: Sequence[Run]) -> Filter:
     columns: list[Column] = []
     for run in runs:
         if key in run.filters:
-            series = run.filters[key].at(steps)
+            series, missing = run.filters[key].at(steps), run.filters[key].missing
             values = {row.key: row.value(series) for row in ROWS}
             particles = 1 if key == "ekf" else int(run.told["params"]["particles"])
-            parts_at = _parts_at(steps, columns[0].series, series) if columns else None
-            columns.append(Column(run, particles, series, values, parts_at))
+            column = Column(run, particles, series, missing, values, None)
+            columns.append(column._replace(parts_at=_parts_at(steps, columns[0], column)) if columns else column)
     return Filter(key, ESTIMATORS[key].title, steps, columns)
 
 
-def _parts_at(steps: Ints, a: dict[str, Floats], b: dict[str, Floats]) -> int | None:
+def _parts_at(steps: Ints, a: Column, b: Column) -> int | None:
     same = np.ones(len(steps), np.bool_)
-    for name in a:
-        if name != CLOCK:
-            same &= same_bits(a[name], b[name])
+    for name in set(a.series) - {CLOCK, *a.missing, *b.missing}:
+        same &= same_bits(a.series[name], b.series[name])
     return None if same.all() else int(steps[np.argmin(same)])

@@ -16,7 +16,7 @@
         "title": text, "steps": {"first", "last", "count"}, "step": [...],
         "nees_interval": [low, high],        95 % of the mean over the known steps
         "runs": {name: {
-           "particles": K, "same_run": bool, "differs_from_step": n | null,
+           "particles": K, "same_run": bool, "differs_from_step": n | null, "missing": [series, ...],
            "numbers": {key: number | null, ...}, "nees_infinite": n,
            "differences": {key: number | null, ...},      from the first run that has the filter
            "series": {name: [...], ...}}}}},
@@ -27,6 +27,7 @@
 - `null` is what is not known, and infinity, which JSON does not have: infinite NEES are counted in `nees_infinite` and
   not in the mean.
 - `same_run`: every number of every step but its time is that of the first run that has the filter, bit for bit.
+- `missing`: series that the recording does not have, being damaged or of another version; null throughout.
 - `data`: of truth, odometry and observations what is equal at all common steps, as exactly as recordings have them
   (single precision).
 """
@@ -172,6 +173,7 @@ def _column(one: Filter, column: Column) -> dict[str, Any]:
         "particles": column.particles,
         "same_run": column.parts_at is None,
         "differs_from_step": column.parts_at,
+        "missing": sorted(column.missing),
         "numbers": {row.key: column.values[row.key] for row in there},
         "nees_infinite": int(np.isinf(known(column.series["nees"])).sum()),
         "differences": {row.key: one.difference(row, column) for row in there},

@@ -42,7 +42,9 @@ class Numbers(NamedTuple):
     steps: Ints
     """(T,) increasing; of a filter that was switched on and off, not all."""
     series: dict[str, Floats]
-    """(T,) each: `SERIES`, in SI units and radians, and `resampled`, 1 or 0."""
+    """(T,) each: `SERIES`, in SI units and radians, and `resampled`, 1 or 0; NaN where something is not known."""
+    missing: frozenset[str] = frozenset()
+    """Those of `SERIES` that the recording does not have: it is damaged, or of another version."""
 
     def at(self, steps: Ints) -> dict[str, Floats]:
         """The series at those of the steps that it has."""
@@ -202,7 +204,8 @@ def _numbers(recording: Recording, root: str, key: str) -> Numbers:
     said = f" {ESTIMATORS[key].title} resampled: "
     resampled = [event.step for event in recording.events(f"{root}events") if said in event.text]
     aligned = {name: SERIES[name][1] * _aligned(steps, *found) for name, found in series.items()}
-    return Numbers(steps, {**aligned, "resampled": np.isin(steps, resampled).astype(float)})
+    missing = frozenset(name for name, (there, _) in series.items() if not len(there))
+    return Numbers(steps, {**aligned, "resampled": np.isin(steps, resampled).astype(float)}, missing)
 
 
 def _series(recording: Recording, entity: str, timeline: str = "step") -> tuple[Ints | Floats, Floats]:

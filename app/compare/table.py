@@ -37,8 +37,8 @@ def rows(one: Filter, found: Comparison) -> Iterator[Cells]:
 def difference(row: Row, one: Filter, column: Column) -> str:
     """From the first column, in the unit of the row, and in percent of that; `=` for no difference at all."""
     mine, first = column.values[row.key], one.columns[0].values[row.key]
-    if mine == first or (column.parts_at is None and row.series != "seconds"):
-        return "=" if not math.isnan(mine) else ""
+    if mine == first:
+        return "="
     apart = row.factor * one.difference(row, column)
     if math.isnan(apart):
         return ""

@@ -182,6 +182,9 @@ def _missing(found: Comparison) -> Iterator[str]:
     elif blind:
         yield f"nobody knows the truth in {_and(blind)}: no errors and no NEES there"
     for one in found.filters:
+        for column in one.columns:
+            if column.missing:
+                yield f"the recording of {column.run.name} lacks {_and(sorted(column.missing))} of {one.title}"
         if len(one.steps) < len(found.steps):
             yield f"{one.title} was not always on: compared over {len(one.steps)} steps, {_span(one)}"
 

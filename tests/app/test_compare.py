@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import time
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from app.compare.words import all_the_same, data_of, sentences, study_commands
 from app.errors import UsageError
 from app.recording import Recorder, RecordingError
 from app.recording.reading import Recording
+from app.recording.stream import FLUSH_EVERY
 from app.summary import Summary
 from scenarios.registry import build
 from scenarios.types import Step
@@ -276,20 +278,36 @@ class TestBranches:
 class TestFiles:
     def test_a_damaged_one_is_read_as_far_as_it_goes(self, tmp_path, capsys):
         """Its series end at different steps; all numbers are of the last step that all have."""
-        record(tmp_path / "long.rrd", ("dfs", "fs2"), build("loop"), steps=60, association="jcbb")
-        whole = (tmp_path / "long.rrd").read_bytes()
-        (tmp_path / "cut.rrd").write_bytes(whole[: 2 * len(whole) // 3])
-        assert cli.entry(["compare", str(tmp_path / "long.rrd"), str(tmp_path / "cut.rrd")]) == 0
-        told = capsys.readouterr()
-        assert "cut.rrd is damaged: it is read as far as that goes, to step" in told.err
-        assert "of 60" in told.err
-        runs = read_runs([str(tmp_path / "long.rrd"), str(tmp_path / "cut.rrd")])
-        both = compare(runs)
-        assert 0 < len(both.steps) < 60
+        whole, cut, size = tmp_path / "whole.rrd", tmp_path / "cut.rrd", 0
+
+        class Pause:
+            def begin(self, info):
+                pass
+
+            def step(self, step):
+                nonlocal size
+                if step.index == AT:
+                    time.sleep(3 * FLUSH_EVERY)
+                    size = whole.stat().st_size
+
+            def end(self):
+                pass
+
+        source = build("paper-line")
+        info = session.make_info(
+            source, [ESTIMATORS["dfs"], ESTIMATORS["fs2"]], source.params(particles=9), count=STEPS
+        )
+        session.run(info, [Recorder(whole), Pause()])
+        cut.write_bytes(whole.read_bytes()[: size + 20_000])
+        assert cli.entry(["compare", str(whole), str(cut)]) == 0
+        both = compare(read_runs([str(whole), str(cut)]))
+        assert AT <= len(both.steps) < STEPS
+        said = f"warning: {cut} is damaged: it is read as far as that goes, to step {both.steps[-1]} of {STEPS}\n"
+        assert capsys.readouterr().err == said
         for one in both.filters:
-            whole_run, cut = one.columns
-            names = set(cut.series) - {"resampled"}  # whose last ones may be lost
-            assert all(np.array_equal(cut.series[n], whole_run.series[n], equal_nan=True) for n in names)
+            first, second = one.columns
+            names = set(second.series) - {"resampled"}  # whose last ones may be lost
+            assert all(np.array_equal(first.series[n], second.series[n], equal_nan=True) for n in names)
 
     def test_an_unfinished_one_is_told(self, place, summaries, tmp_path, capsys):
         source, path = build("paper-line"), tmp_path / "short.rrd"
@@ -374,13 +392,25 @@ class TestFiles:
         assert {len(column.series["nees"]) for column in both.filters[1].columns} == {STEPS - 3}
         assert f"FastSLAM 2.0 was not always on: compared over {STEPS - 3} steps, 4 to {STEPS}" in sentences(both)
 
-    def test_a_series_that_one_of_them_does_not_have(self, found):
-        """Of another version of the program."""
-        first, other = found.runs
-        blank = np.full(STEPS, np.nan)
-        less = {k: n._replace(series={**n.series, "diversity": blank}) for k, n in other.filters.items()}
-        both = compare([first, other._replace(filters=less)])
+    def test_a_series_that_one_of_them_does_not_have(self, place, summaries):
+        """The filters may be the same all the same."""
+        first, other = read_runs([str(place / "a.rrd")] * 2)
+        dfs, blank = other.filters["dfs"], np.full(STEPS, np.nan)
+        less = dfs._replace(series={**dfs.series, "diversity": blank}, missing=frozenset({"diversity"}))
+        both = compare([first, other._replace(name="less", filters={**other.filters, "dfs": less})])
         assert dict(rows(both.filters[0], both))["diversity, end"][1:] == ["-", ""]
+        assert "the recording of less lacks diversity of Dual FastSLAM" in sentences(both)
+        assert all_the_same(both)
+
+    def test_a_recording_without_a_series(self, place, summaries, tmp_path):
+        from rerun.chunk import RrdReader
+
+        whole = RrdReader(place / "a.rrd").store().stream()
+        part = whole.drop(content="/plots/diversity/dfs")
+        part.write_rrd(tmp_path / "part.rrd", application_id="dual-fastslam", recording_id="part")
+        numbers = read_run(tmp_path / "part.rrd", "", "part").filters["dfs"]
+        assert numbers.missing == {"diversity"}
+        assert len(numbers.steps) == STEPS
 
 
 @pytest.fixture(scope="module")
