@@ -230,6 +230,14 @@ class TestWords:
         assert "nobody knows the truth in blind: no errors and no NEES there" in sentences(one_eyed)
         assert dict(rows(one_eyed.filters[0], one_eyed))["position error, RMS"][1:] == ["-", ""]
 
+    def test_parts_of_one_log(self, place, summaries, tmp_path):
+        part = dataclasses.replace(unknown(build("paper-line")), options={"last": FEWER})
+        record(tmp_path / "part.rrd", ("dfs",), part, steps=FEWER, association="jcbb")
+        said = sentences(compare(read_runs([str(place / "blind.rrd"), str(tmp_path / "part.rrd")])))
+        assert f"part differs from blind: options.last none -> {FEWER}" in said
+        assert "part saw the same data as blind: odometry is equal at every step" in said
+        assert "Dual FastSLAM is the same run in blind and part: every number, bit for bit" in said
+
     def test_commands_of_a_study_can_be_typed(self, found):
         from app.command import parse
 
