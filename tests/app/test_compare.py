@@ -231,7 +231,8 @@ class TestWords:
         assert dict(rows(one_eyed.filters[0], one_eyed))["position error, RMS"][1:] == ["-", ""]
 
     def test_parts_of_one_log(self, place, summaries, tmp_path):
-        part = dataclasses.replace(unknown(build("paper-line")), options={"last": FEWER})
+        whole = unknown(build("paper-line"))
+        part = dataclasses.replace(whole, options={**whole.options, "last": FEWER})
         record(tmp_path / "part.rrd", ("dfs",), part, steps=FEWER, association="jcbb")
         said = sentences(compare(read_runs([str(place / "blind.rrd"), str(tmp_path / "part.rrd")])))
         assert f"part differs from blind: options.last none -> {FEWER}" in said
