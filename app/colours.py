@@ -36,6 +36,10 @@ ASSOCIATION: RGB = (255, 255, 255)
 BACKGROUND: RGB = (13, 16, 17)
 """Of dark views; what fades, fades into this."""
 
+TONES_ON_DARK = (0.0, 0.5, -0.45, 0.82, -0.2, 0.4, -0.6, 0.7)
+TONES_ON_PAPER = (-0.45, 0.15, -0.7, -0.2, 0.4, -0.55, 0.0, -0.85)
+"""Of runs that are compared: how far towards white, or black, neighbours far apart."""
+
 OTHER: RGB = (213, 94, 0)
 """A filter that has no colour of its own."""
 
@@ -59,6 +63,13 @@ def mix(a: RGB, b: RGB, share: float) -> RGB:
     """`share` of b and the rest of a."""
     red, green, blue = (round(x + share * (y - x)) for x, y in zip(a, b, strict=True))
     return red, green, blue
+
+
+def of_run(rgb: RGB, rank: int, on_dark: bool) -> RGB:
+    """The shade of a filter's colour in which the run of this rank is drawn, where several runs are compared."""
+    tones = TONES_ON_DARK if on_dark else TONES_ON_PAPER
+    tone = tones[rank % len(tones)]
+    return mix(rgb, (255, 255, 255) if tone > 0 else (0, 0, 0), abs(tone))
 
 
 def faded(rgb: RGB, share: float) -> RGB:

@@ -18,6 +18,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import numpy as np
 import tyro
 
+from app.compare.command import Compare
 from app.errors import UsageError, listed, sentence, suggestion
 from app.live.command import Live
 from app.options import FILTERS
@@ -38,6 +39,7 @@ Examples:
   dualslam run paper-line --vehicle ackermann --filters dfs fs2 fs1 ekf --record paper.rrd
   dualslam run loop --particles 30 --noise.range 0.05 --summary loop.json --trajectory loop/
   dualslam run ../data/MRCLAM_Dataset6 --robot 3 --association known
+  dualslam compare a.rrd b.rrd --out comparison      two recordings: what differs, numbers, plots, side by side
   dualslam study paper-table --runs 20               the paper's comparison, with standard errors
 
 A run with --record FILE.rrd is opened with: rerun FILE.rrd
@@ -58,7 +60,7 @@ class Study:
         return self.study(command)
 
 
-COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "worlds": Worlds, "study": Study}
+COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "compare": Compare, "worlds": Worlds, "study": Study}
 
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -16,11 +15,10 @@ from rich.text import Text
 from app.colours import of_filter
 from app.compiling import CompileClock
 from app.relations import PathErrors
+from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
 from slam.features import Point
-from slam.metrics import nees_interval, rms
-from slam.types import Floats
 
 SHOWN_EVENTS = 3
 """Of each filter."""
@@ -138,72 +136,38 @@ def relations_table(paths: PathErrors, titles: Mapping[str, str]) -> Table:
         cells = ["-"] * 5
         if errors.translation_m is not None and errors.rotation_rad is not None:
             both = zip(errors.translation_m, errors.rotation_rad, strict=True)
-            cells = [f"{_number(metres)} m {_number(math.degrees(angle))}°" for metres, angle in both]
+            cells = [f"{number(metres)} m {number(math.degrees(angle))}°" for metres, angle in both]
         result.add_row(title, *cells, str(errors.used), str(errors.left_out))
     return result
 
 
 def _rows(summary: Summary) -> list[tuple[str, Callable[[FilterSeries], str]]]:
     """Name and content of each row; a row without any content is left out."""
-    errors = {series.title: summary.errors(series) for series in summary.filters.values()}
+    arrays = {
+        series.title: {name: series.array(name) for name in series.series}
+        | summary.errors(series)
+        | {"seconds": np.array(series.seconds)}
+        for series in summary.filters.values()
+    }
 
-    def known(series: FilterSeries, name: str) -> Floats:
-        values = errors[series.title][name]
-        return values[~np.isnan(values)]
-
-    def error(name: str, measure: Callable[[Floats], float], unit: str, factor: float = 1.0) -> Any:
-        def cell(series: FilterSeries) -> str:
-            values = known(series, name)
-            return f"{_number(factor * measure(values))} {unit}" if len(values) else ""
-
-        return cell
-
-    def consistency(series: FilterSeries) -> str:
-        values = known(series, "nees")
-        finite = values[np.isfinite(values)]
-        if not len(values):
-            return ""
-        mean = float(np.mean(finite)) if len(finite) else math.inf
-        text = _number(mean) if mean < 1e6 else "inf" if math.isinf(mean) else "> 10⁶"
-        return text + (f" ({len(values) - len(finite)} inf)" if len(finite) < len(values) else "")
+    def cell(row: Row) -> Callable[[FilterSeries], str]:
+        if row.key == NEES:
+            return lambda series: nees_text(arrays[series.title]["nees"])
+        return lambda series: row.text(row.value(arrays[series.title]))
 
     def association(series: FilterSeries) -> str:
         return " / ".join(str(n) for n in series.association.values()) if series.association else ""
 
-    def last(name: str, form: Callable[[float], str]) -> Callable[[FilterSeries], str]:
-        def cell(series: FilterSeries) -> str:
-            value = series.array(name)[-1]
-            return "" if math.isnan(value) else form(value)
+    def speed(series: FilterSeries) -> str:
+        return f"{number(summary.seconds() / max(sum(series.seconds), 1e-12))} x"
 
-        return cell
-
-    def milliseconds(measure: Callable[[Floats], float]) -> Callable[[FilterSeries], str]:
-        return lambda series: f"{1e3 * measure(np.array(series.seconds)):.3g} ms"
-
-    lengths = {len(known(series, "nees")) for series in summary.filters.values()}
-    low, high = nees_interval(2, max(lengths, default=1) or 1)
-    return [
-        ("particles", lambda s: str(s.particles)),
-        ("position error, end", error("position_error_m", lambda v: v[-1], "m")),
-        ("position error, RMS", error("position_error_m", rms, "m")),
-        ("position MSE", error("position_error_m", lambda v: float(np.mean(v**2)), "m²")),
-        ("best particle, RMS", error("best_position_error_m", rms, "m")),
-        ("heading error, RMS", error("heading_error_rad", rms, "°", math.degrees(1))),
-        (f"NEES ({low:.2f} to {high:.2f})", consistency),
-        ("diversity, end", last("diversity", lambda v: f"{100 * v:.3g} %")),
-        ("N_eff, median", lambda s: f"{np.median(s.array('n_eff')):.3g}"),
-        ("resamplings", lambda s: str(int(s.array("resampled").sum()))),
-        ("features", last("features", lambda v: f"{v:.0f}")),
-        ("duplicates", last("duplicates_so_far", lambda v: f"{v:.0f}")),
-        ("right/wrong/missed", association),
-        ("update, median", milliseconds(np.median)),
-        ("update, p95", milliseconds(lambda v: float(np.percentile(v, 95)))),
-        ("times real time", lambda s: f"{_number(summary.seconds() / max(sum(s.seconds), 1e-12))} x"),
-    ]
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    found: list[tuple[str, Callable[[FilterSeries], str]]] = [("particles", lambda s: str(s.particles))]
+    steps = max((len(known(of["nees"])) for of in arrays.values()), default=0)
+    for row in ROWS:
+        if row.key == UPDATE:
+            found.append(("right/wrong/missed", association))
+        found.append((nees_title(steps) if row.key == NEES else row.title, cell(row)))
+    return [*found, ("times real time", speed)]
 
 
 def _style(key: str) -> str:

@@ -117,12 +117,25 @@ def word(metavar: str) -> Any:
     return _spec(metavar, lambda text: _readable(metavar, str(text)))
 
 
+def words(metavar: str) -> Any:
+    """Any texts, each with something in it."""
+    return _spec(
+        metavar, lambda texts: tuple(_some_text(metavar, _readable(metavar, text)) for text in texts), many=True
+    )
+
+
 def _readable(name: str, text: str) -> str:
     """A name that was typed as bytes that are no letters could be opened, but neither shown nor saved."""
     try:
         text.encode()
     except UnicodeEncodeError:
         raise UsageError(f"{name} is {text!r}, with bytes that are no text in UTF-8; expected another name") from None
+    return text
+
+
+def _some_text(name: str, text: str) -> str:
+    if not text:
+        raise UsageError(f"one of {name} is empty; expected a path")
     return text
 
 

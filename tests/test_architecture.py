@@ -1,4 +1,4 @@
-"""Who may import whom: app -> scenarios -> slam, Rerun and viser each in one folder, nothing happens at import."""
+"""Who may import whom: app -> scenarios -> slam, what draws in one place each, nothing happens at import."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("slam", "scenarios", "app")
 MAY_IMPORT = {"slam": {"slam"}, "scenarios": {"scenarios", "slam"}, "app": {"app", "scenarios", "slam"}}
-HOMES = {"rerun": "app/recording", "rerun_bindings": "app/recording", "viser": "app/panel"}
+HOMES = {
+    "rerun": "app/recording",
+    "rerun_bindings": "app/recording",
+    "viser": "app/panel",
+    "matplotlib": "app/compare/plots",
+}
 UNKNOWN_TO_SLAM = {"time", "datetime", "pathlib", "io", "os", "rich", "tyro", "json", "socket", "requests"}
 """Clocks, files and screens."""
 
@@ -47,7 +52,7 @@ def test_directions(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_rerun_and_viser_have_one_home_each(path):
+def test_what_draws_has_one_home_each(path):
     for module in imported(path):
         home = HOMES.get(module.split(".")[0])
         assert home is None or name(path).startswith((f"{home}/", f"{home}.py")), module

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import rerun as rr
@@ -24,6 +25,12 @@ PAGE_ASPECT = 1.15
 STACKED = 0.8
 """Two maps lie above each other if the place, width over height, is longer than the map view by this factor; below,
 the eye is at most 1.6 times as far away as for a map alone, and still tells the layers apart (`scene.LIFT`)."""
+
+COMPARED_ASPECT = 3.5
+"""Width over height of all maps of a comparison together."""
+
+LEGEND_LINES = 12
+"""Above so many, a legend would hide the plot; a line that is pointed at tells its name."""
 
 BACKGROUND = colours.BACKGROUND
 
@@ -87,6 +94,53 @@ def layout_of_branches(branches: Sequence[Shown]) -> rrb.Blueprint:
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )
+
+
+def layout_of_comparison(runs: Sequence[Shown], page: str) -> rrb.Blueprint:
+    """Several runs, none of which is a branch of another: maps side by side, below them the plots that they share.
+
+    `page` is the entity that says what differs.
+    """
+    keys = dict.fromkeys(f.key for run in runs for f in run.filters)
+    tabs = [_beside([run for run in runs if key in {f.key for f in run.filters}], key) for key in keys]
+    pages = rrb.Tabs(
+        rrb.TextDocumentView(name="Comparison", origin=page),
+        *(_ancestry(run) for run in runs),
+        *(_events(run) for run in runs),
+        *(rrb.TextDocumentView(name=run.named("Parameters"), origin=run.at("params")) for run in runs),
+        active_tab=0,
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Tabs(_beside(runs), *(tabs if len(keys) > 1 else ()), active_tab=0),
+            rrb.Horizontal(_plots(runs, rrb.Horizontal), pages, column_shares=[7, 3]),
+            row_shares=[3, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+    )
+
+
+def _beside(runs: Sequence[Shown], key: str = "") -> rrb.Container:
+    """The maps of all runs, of all filters or of one, in as many columns as show most."""
+
+    def aspect(columns: int) -> float:
+        return COMPARED_ASPECT * math.ceil(len(runs) / columns) / columns
+
+    def distance(columns: int) -> float:
+        """Of the eye, over the height of a view."""
+        return runs[0].extent.eye_height(aspect(columns)) * math.ceil(len(runs) / columns)
+
+    columns = min(range(1, len(runs) + 1), key=distance)
+    placed = [run._replace(aspect=aspect(columns)) for run in runs]
+    if not key:
+        maps = [_map_of_all(run._replace(legend="")) for run in placed]  # titles are cut where they are long
+        return rrb.Grid(*maps, grid_columns=columns, name="All filters")
+    estimator = next(f for f in runs[0].filters if f.key == key)
+    named = f"{estimator.title}: map, all surviving paths, the maps of all particles"
+    maps = [_map_view(f"{run.label}: {named}{run.legend}", run, [estimator], whole=True) for run in placed]
+    return rrb.Grid(*maps, grid_columns=columns, name=estimator.title)
 
 
 def _together(branches: Sequence[Shown]) -> rrb.Container:
@@ -205,15 +259,17 @@ GROUPS = {
 AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
 
 
-def _plots(branches: Sequence[Shown]) -> rrb.Container:
+def _plots(branches: Sequence[Shown], beside: Callable[..., rrb.Container] = rrb.Vertical) -> rrb.Container:
     """One tab for each group, and in each one plot with the legend: the colours are the same in all."""
     known = frozenset().union(*(branch.known for branch in branches))
     tabs = []
     for name, members in GROUPS.items():
         shown = [m for m in (BY_NAME[n] for n in members) if not m.needs or m.needs in known]
         explained = next((m for m in shown if not m.population), shown[0] if shown else None)
+        lines = sum(len(branch.filters) for branch in branches)
         if shown:
-            tabs.append(rrb.Vertical(*(_plot(m, branches, m is explained) for m in shown), name=name))
+            plots = [_plot(m, branches, m is explained and lines <= LEGEND_LINES) for m in shown]
+            tabs.append(beside(*plots, name=name))
     return rrb.Tabs(*tabs, active_tab=0)
 
 
@@ -239,22 +295,14 @@ def _plot(metric: Metric, branches: Sequence[Shown], legend: bool) -> rrb.TimeSe
 
 
 def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
-    many = [f for f in branch.filters if f.key in populations(f.key for f in branch.filters)]
-    ancestry = rrb.Spatial2DView(
-        name=branch.named("Ancestry"),
-        origin=branch.at("genealogy"),
-        contents=["+ $origin/frame/**", *(f"+ $origin/{f.key}" for f in many)],
-        background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-LEFT, WIDTH + 6.0), y_range=(-6.0, HEIGHT + 9.0)),
-    )
     weights = [
         rrb.BarChartView(
             name=branch.named(f.title), origin=branch.at(f"weights/{f.key}"), plot_legend=rrb.PlotLegend(visible=False)
         )
-        for f in many
+        for f in _many(branch)
     ]
     return rrb.Tabs(
-        ancestry,
+        _ancestry(branch),
         rrb.Horizontal(*weights, name="Weights times K"),
         *(_events(one) for one in reversed(branches)),
         *(_relations(one) for one in reversed(branches) if "relations" in one.known),
@@ -266,6 +314,20 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
 
 def _relations(branch: Shown) -> rrb.TextDocumentView:
     return rrb.TextDocumentView(name=branch.named("Relations"), origin=branch.at("relations"))
+
+
+def _many(branch: Shown) -> list[Estimator]:
+    return [f for f in branch.filters if f.key in populations(f.key for f in branch.filters)]
+
+
+def _ancestry(branch: Shown) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        name=branch.named("Ancestry"),
+        origin=branch.at("genealogy"),
+        contents=["+ $origin/frame/**", *(f"+ $origin/{f.key}" for f in _many(branch))],
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(-LEFT, WIDTH + 6.0), y_range=(-6.0, HEIGHT + 9.0)),
+    )
 
 
 def _events(branch: Shown) -> rrb.TextLogView:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk, RrdReader
 
 SCALAR, SESSION = "Scalars:scalars", "/__properties/session"
+MERGED = "/__properties/comparison"
+"""What a recording has that `merging` made of others."""
+
 PATIENCE = 600.0
 """[s] for the repair of a large file."""
 
@@ -39,10 +42,14 @@ class Recording:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         _check(self.path)
-        with _readable(self.path) as chunks:
+        with _readable(self.path) as (chunks, damaged):
+            self.damaged = damaged
+            """Whether it ends in the middle of something, and was read up to there."""
             self._chunks: dict[str, list[Chunk]] = {}
             for chunk in chunks:
                 self._chunks.setdefault(chunk.entity_path, []).append(chunk)
+        if MERGED in self._chunks:
+            raise RecordingError(f"{self.path} was merged from several recordings; expected one of these")
         if SESSION not in self._chunks:
             raise RecordingError(f"{self.path} is a Rerun recording, but not one of dualslam")
 
@@ -55,11 +62,19 @@ class Recording:
         """The timelines that an entity has data on; none if it is static only."""
         return {name for chunk in self._chunks.get(entity, ()) for name in chunk.timeline_names}
 
-    def params(self) -> dict[str, Any]:
-        """Everything that the session was made with, as `texts.description` gives it."""
-        for _, (text,) in self._rows(SESSION, "json"):
+    def params(self, branch: str = "") -> dict[str, Any]:
+        """Everything that the session, or a branch of it, was made with, as `texts.description` gives it."""
+        for _, (text,) in self._rows(f"{SESSION}-{branch}" if branch else SESSION, "json"):
             return json.loads(text)
         raise RecordingError(f"{self.path} does not say what it was made with")
+
+    def branches(self) -> list[str]:
+        """Of a live session, the names that its branches have in the recording, in alphabetical order."""
+        return [entity.removeprefix(f"{SESSION}-") for entity in self.entities if entity.startswith(f"{SESSION}-")]
+
+    def chunks(self, prefix: str = "/") -> list[Chunk]:
+        """Rerun's own pieces of everything below a path that ends in a slash, in no particular order."""
+        return [chunk for entity, found in self._chunks.items() if entity.startswith(prefix) for chunk in found]
 
     def filters(self) -> list[str]:
         """Keys of the filters, in the order in which they were asked for."""
@@ -73,15 +88,33 @@ class Recording:
         times, values = (np.array(column) for column in zip(*sorted(rows, key=lambda r: r[0]), strict=True))
         return times * 1e-9 if timeline == "sim_time" else times, values.astype(float)
 
-    def events(self) -> list[Event]:
-        """All events, in order."""
-        texts = self._rows("/events", "TextLog:text", "step")
-        levels = self._rows("/events", "TextLog:level", "step")
+    def events(self, entity: str = "/events") -> list[Event]:
+        """All events, in order; those of a branch have another entity."""
+        texts = self._rows(entity, "TextLog:text", "step")
+        levels = self._rows(entity, "TextLog:level", "step")
         return [Event(int(t), level[0], text[0]) for (t, text), (_, level) in zip(texts, levels, strict=True)]
 
     def rows(self, entity: str, component: str, timeline: str = "stage") -> list[tuple[int, list[Any]]]:
         """Every value of a component such as `Points3D:positions`, with its time, in order of time."""
         return sorted(self._rows(entity, component, timeline), key=lambda row: row[0])
+
+    def points(self, entity: str, component: str, timeline: str = "step") -> dict[int, list[Floats]]:
+        """By time, a component of points or of lines such as `LineStrips3D:strips`, in the plane: an array (n, 2) [m]
+        for each line, or one for all points; of what is static, at time 0."""
+        import pyarrow as pa
+
+        found: dict[int, list[Floats]] = {}
+        for chunk in self._chunks.get(entity, ()):
+            batch = chunk.to_record_batch()
+            if component not in batch.schema.names or not (chunk.is_static or timeline in batch.schema.names):
+                continue
+            times = [0] if chunk.is_static else batch.column(timeline).cast(pa.int64()).to_pylist()
+            for time, value in zip(times, batch.column(component), strict=True):
+                if value.is_valid:
+                    rows = value.values
+                    lines = [line.values for line in rows] if pa.types.is_list(rows.type) else [rows]
+                    found[time] = [line.flatten().to_numpy().reshape(-1, 3)[:, :2].copy() for line in lines]
+        return found
 
     def _rows(self, entity: str, component: str, timeline: str | None = None) -> list[tuple[int, list[Any]]]:
         import pyarrow as pa
@@ -136,17 +169,17 @@ def _check(path: Path) -> None:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[list[Chunk]]:
-    """The chunks of a file; of one that is cut in the middle of a chunk, those of a repaired copy."""
+def _readable(path: Path) -> Iterator[tuple[list[Chunk], bool]]:
+    """The chunks of a file, and False; of one that is cut in the middle of a chunk, of a repaired copy, and True."""
     try:
-        yield _chunks(path)
+        yield _chunks(path), False
         return
     except (RuntimeError, ValueError):
         pass
     with tempfile.TemporaryDirectory() as folder:
         repaired = repair(path, Path(folder) / "repaired.rrd")
         try:
-            yield _chunks(repaired)
+            yield _chunks(repaired), True
         except (RuntimeError, ValueError) as error:
             raise RecordingError(f"{path} cannot be read: {error}") from None
 

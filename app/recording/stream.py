@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from app.recording.pipe import Pipe
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
+    from rerun.chunk import Chunk
 
 APPLICATION = "dual-fastslam"
 FLUSH_EVERY = 0.5
@@ -27,37 +28,39 @@ PATIENCE = 20.0
 """[s] that a slow disk is given."""
 
 
-def check_path(path: Path) -> None:
+def check_path(path: Path, option: str = "--record") -> None:
     """Fail now, with a sentence, if no recording could be written at `path` later."""
     if path.suffix != ".rrd":
-        raise RecordingError(f"--record {path} has the wrong ending; expected a name that ends in .rrd")
+        raise RecordingError(f"{option} {path} has the wrong ending; expected a name that ends in .rrd")
     try:
-        check_file("--record", path)
+        check_file(option, path)
         if path.exists():
-            _check_replaceable(path)
+            _check_replaceable(path, option)
     except RecordingError:
         raise
     except (UsageError, OSError) as error:
         raise RecordingError(sentence(error)) from None
 
 
-def _check_replaceable(path: Path) -> None:
+def _check_replaceable(path: Path, option: str) -> None:
     """A recording may be recorded over; anything else that bears its name is not ours to destroy."""
     if not path.is_file():
-        raise RecordingError(f"--record {path} is no ordinary file; expected a file name")
+        raise RecordingError(f"{option} {path} is no ordinary file; expected a file name")
     with path.open("rb") as file:
         start = file.read(len(MAGIC))
     if start and start != MAGIC:
-        raise RecordingError(f"--record {path} exists and is no recording; it is not overwritten")
+        raise RecordingError(f"{option} {path} exists and is no recording; it is not overwritten")
 
 
 class Stream(ABC):
     """Log here, from one thread.  Where it goes is a matter of the kinds of streams below."""
 
-    def __init__(self, blueprint: rrb.Blueprint, name: str, flush_every: float = FLUSH_EVERY) -> None:
+    def __init__(
+        self, blueprint: rrb.Blueprint, name: str, flush_every: float = FLUSH_EVERY, application: str = APPLICATION
+    ) -> None:
         import rerun as rr
 
-        self._rec = rr.RecordingStream(APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=flush_every))
+        self._rec = rr.RecordingStream(application, batcher_config=rr.ChunkBatcherConfig(flush_tick=flush_every))
         if not rr.is_enabled(self._rec):
             raise RecordingError(
                 f"the environment variable RERUN={os.environ.get('RERUN', '')} turns recording off; unset it to record"
@@ -77,6 +80,10 @@ class Stream(ABC):
     def log_static(self, entity: str, *what: Any) -> None:
         """True at all times."""
         self._rec.log(entity, *what, static=True)
+
+    def send(self, chunks: Iterable[Chunk]) -> None:
+        """What another recording has, with its times."""
+        self._rec.send_chunks(chunks)
 
     def property(self, name: str, what: Any) -> None:
         """Of the recording as a whole."""
@@ -131,19 +138,29 @@ class FileStream(Stream):
     some 2 kB for each entity in each half of a second.
     """
 
-    def __init__(self, path: Path, blueprint: rrb.Blueprint, name: str, index: bool = True) -> None:
-        check_path(path)
+    def __init__(
+        self,
+        path: Path,
+        blueprint: rrb.Blueprint,
+        name: str,
+        index: bool = True,
+        option: str = "--record",
+        application: str = APPLICATION,
+    ) -> None:
+        """`option` is what told of the path; windows that show one `application` share a layout."""
+        check_path(path, option)
         self.path = path
+        self._option = option
         self._index = index
         self._told = False
-        super().__init__(blueprint, name)
+        super().__init__(blueprint, name, application=application)
 
     def begun(self) -> None:
         """Make sure, before the run begins, that what does not change is in the file."""
         super().begun()
         if self._pipe.error is not None:
             self._told = True
-            raise RecordingError(f"--record {self.path} cannot be written: {_reason(self._pipe.error)}")
+            raise RecordingError(f"{self._option} {self.path} cannot be written: {_reason(self._pipe.error)}")
 
     def check(self) -> None:
         """`RecordingLost` if the file could not be written; once."""
@@ -164,7 +181,7 @@ class FileStream(Stream):
         try:
             self._pipe = Pipe(self.path)
         except OSError as error:
-            raise RecordingError(f"--record {self.path} cannot be written: {sentence(error)}") from None
+            raise RecordingError(f"{self._option} {self.path} cannot be written: {sentence(error)}") from None
         self._rec.save(self._pipe.entrance, default_blueprint=blueprint, write_footer=self._index)
         self._pipe.seal()
 
