@@ -49,8 +49,9 @@ def step(rng: np.random.Generator, particles: Particles, frame: Frame, params: P
 
     weighted = weighted._replace(maps=mapped.maps)
     return resampled, Trace(
-        predicted, weighted, resampled, n, log_p, weighed.innovations, n_eff, did, resized, selected, events, merged
-    )
+        predicted, weighted, resampled, n, log_p, params.temper, weighed.innovations,
+        n_eff, did, resized, selected, events, merged,
+    )  # fmt: skip
 
 
 DUAL_FASTSLAM = Estimator(

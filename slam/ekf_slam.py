@@ -56,7 +56,9 @@ def step(rng: np.random.Generator, state: EkfState, frame: Frame, params: Params
         state = constrain_angles(state, frame.feature, int((n[0] == NEW).sum()))
 
     weighted, one, log_p = state.particles, np.zeros(1, np.int64), params.temper * weighed.log_p
-    return state, Trace(predicted, weighted, weighted, n, log_p, weighed.innovations, 1.0, False, one, one)
+    return state, Trace(
+        predicted, weighted, weighted, n, log_p, params.temper, weighed.innovations, 1.0, False, one, one
+    )
 
 
 def predict_joint(state: EkfState, frame: Frame, params: Params) -> EkfState:

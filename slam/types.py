@@ -200,6 +200,8 @@ class Trace(NamedTuple):
     step merged into another one it is the index of that other one."""
     log_likelihood: Floats
     """(K, Z) what each observation added to the log weight (tempered); unmatched ones that of a miss (EKF-SLAM: 0)."""
+    temper: float
+    """`Params.temper` of this step."""
     innovations: Innovations
     """(K, Z) of the observations that were matched."""
     n_eff: float

@@ -113,7 +113,10 @@ def trace_of(n: list[list[int]], before: list[int], after: list[int], resized: l
         return SimpleNamespace(maps=SimpleNamespace(counts=np.array(counts)))  # type: ignore[return-value]
 
     found, indices = np.array(n), (np.array(which, np.int64) for which in (resized, selected))
-    return Trace(particles(before), particles(after), particles(after), found, *unweighed(found), 1.0, False, *indices)
+    log_p, innovations = unweighed(found)
+    return Trace(
+        particles(before), particles(after), particles(after), found, log_p, 1.0, innovations, 1.0, False, *indices
+    )
 
 
 def test_gaps_are_those_of_a_particle_and_its_ancestors():

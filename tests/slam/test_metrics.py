@@ -259,7 +259,7 @@ def one_step():
     n = np.array([[NEW, NEW, NEW, NEW], [1, 0, NEW, NEW]])
     log_p, innovations = unweighed(n)
     selected = np.array([1, 1])
-    trace = Trace(predicted, weighted, resampled, n, log_p, innovations, 1.9, True, np.arange(2), selected)
+    trace = Trace(predicted, weighted, resampled, n, log_p, 1.0, innovations, 1.9, True, np.arange(2), selected)
     frame = Frame(1.0, Odometry(), np.zeros((1, 3)), np.ones(1), Point(), np.zeros((4, 2)), np.array([10, 10, 20, 30]))
     return trace, frame
 
