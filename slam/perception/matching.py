@@ -68,12 +68,9 @@ class Matcher(NamedTuple):
     sigma: float = 0.02
     """[m] deviation of a point from the surface, for the estimate: small, so that what is systematic in the odometry
     has no part in what the scan shows better."""
-    reported: float = 0.05
-    """[m] the same for the covariance that is reported: larger, since errors are alike from beam to beam, and from scan
+    reported: float = 0.1
+    """[m] the same for the covariance that is reported: large, since errors are alike from beam to beam, and from scan
     to scan."""
-    weighed: float = 0.1
-    """[m] the same where a match and the odometry speak against each other: larger still, since what stands where
-    nothing was before is no noise."""
     clean: float = 0.015
     """[m] mean distance from the surface up to which both hold; they grow with its square beyond.  What leaves more is
     not made of walls, or is not the same place."""
@@ -258,10 +255,10 @@ def _objection(pairing: _Pairing, predicted: Floats, fit: _Fit, distance2: float
 def _cost(pairing: _Pairing, misfit: float, distance2: float, settings: Matcher) -> float:
     """Minus the log of the probability of a misfit at a squared distance from the odometry, in its deviations.
 
-    Points have the deviation `Matcher.weighed`.  The error of an odometry is that of a Student distribution: wheels
-    that slip make it wrong by ten deviations.
+    Points have the deviation that is reported.  The error of an odometry is that of a Student distribution: wheels that
+    slip make it wrong by ten deviations.
     """
-    points = len(pairing.q) * misfit / settings.weighed**2
+    points = len(pairing.q) * misfit / settings.reported**2
     return points + 0.5 * (FREEDOM + 3.0) * math.log1p(distance2 / FREEDOM)
 
 
