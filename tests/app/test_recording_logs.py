@@ -15,10 +15,10 @@ import rerun.blueprint as rrb
 
 from app import session
 from app.recording import Recorder
-from app.recording.ground import Extent, Survey, extent_of
+from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of
 from app.recording.reading import Recording, open_reader
 from app.recording.stream import FileStream
-from app.recording.writer import CELLS, Writer
+from app.recording.writer import Writer
 from app.sources import LogParts, load
 from app.types import SessionInfo, SessionStep, best_path
 from scenarios.registry import build
@@ -105,9 +105,10 @@ def test_all_scans_lie_along_the_path_of_the_first_filter(
 ) -> None:
     """As it is known at that moment, one point for each square in which a beam ended."""
     recording, steps = recorded
-    step, cell = steps[at], extent_of(info.source, info.steps).size / CELLS
+    step = steps[at]
     drawn = np.array(dict(recording.rows("/world/scans", "Points3D:positions", "step"))[step.index])[:, :2]
     path = best_path(step.filters[KEYS[0]])
+    _, cell = Scanned(info.source).along(path)
     scans = [s.frame.scan for s in steps[: step.index] if s.frame.scan is not None]
     seen = np.concatenate([ends(scan, pose) for scan, pose in zip(scans, path, strict=True)])
     away = np.abs(seen[:, None] - drawn).max(axis=2)
@@ -195,10 +196,10 @@ def test_a_reference_is_the_truth(drive: Drive, tmp_path: Path) -> None:
 # The ground -----------------------------------------------------------------------------------------------------------
 
 
-def stood(*places: tuple[float, float]) -> SessionStep:
-    """A step after which filters believe to be there."""
+def stood(*places: tuple[float, float]) -> Floats:
+    """(n, 3) what is told of a step after which filters believe to be there."""
     updates = [SimpleNamespace(measures=SimpleNamespace(estimate=np.array([*place, 0.0]))) for place in places]
-    return SimpleNamespace(filters=dict(enumerate(updates)))  # type: ignore[return-value]
+    return estimates(SimpleNamespace(filters=dict(enumerate(updates))))  # type: ignore[arg-type]
 
 
 def test_what_is_shown_grows_with_where_filters_have_been() -> None:
