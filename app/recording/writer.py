@@ -234,11 +234,7 @@ class Writer:
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
             self._write_memory(key, update, step.index, everything, past=moments)
-        if (
-            due(step.index, self._info.steps, self._limits.pictures)
-            if detail == "usual"
-            else everything and self._pace.due
-        ):
+        if self._has_time_for_the_log(step, detail):
             with self._pace.kept():
                 self._write_scans(step)
                 self._write_relations(step)
