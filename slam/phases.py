@@ -477,12 +477,15 @@ def extend_features(particles: Particles, frame: Frame, n: Ints) -> Particles:
 
 @kernel
 def _extend_features(feature: Any, s: Any, n: Any, z: Any, theta: Any) -> None:
-    """Overwrites theta (K, Z, D), which is the caller's own copy."""
+    """Overwrites theta (K, Z, D), which is the caller's own copy; of two pieces of one wall the later row has both."""
     for k in range(len(s)):
         sk = load3(s[k])
         for i in range(len(z)):
             if n[k, i] >= 0:
-                extended = extend(feature, theta[k, i], sk, z[i])
+                before = i
+                for j in range(i):
+                    before = j if n[k, j] == n[k, i] else before
+                extended = extend(feature, theta[k, before], sk, z[i])
                 for m in range(len(extended)):
                     theta[k, i, m] = extended[m]
 

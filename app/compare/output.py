@@ -187,13 +187,7 @@ def _span(steps: Ints) -> dict[str, int]:
 
 def _part(run: Run, found: Comparison) -> Part:
     columns = [column for one in found.filters if (column := one.column(run))]
-    needs = {
-        "truth": "position_error_m",
-        "heading": "heading_error_rad",
-        "map": "map_error_m",
-        "tags": "duplicates_so_far",
-    }
-    told = {what for what, name in needs.items() if any(len(known(column.series[name])) for column in columns)}
+    told = {what for what, name in NEEDS.items() if any(len(known(column.series[name])) for column in columns)}
     return Part(run.name, run.path, root_of(run.branch), list(run.filters), frozenset(told), run.walls)
 
 

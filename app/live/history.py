@@ -31,7 +31,7 @@ FEWEST = 8
 """However large they are."""
 
 SNAPSHOT_BYTES = 160e6
-"""Of all snapshots of all branches, about: fewer, with many particles and long ancestries."""
+"""Of all snapshots of all branches, about: fewer, with many particles, long ancestries, and scans to match with."""
 
 MOST_BRANCHES = 32
 """Every one has a tree of its own in the recording."""
@@ -72,6 +72,8 @@ class Snapshots:
         self._kept[index] = snapshot._replace(watch=copy.deepcopy(snapshot.watch))
         filters = snapshot.state.filters.items()
         size = sum(_bytes(key, _particles(state)) + genealogy.nbytes for key, (state, genealogy) in filters)
+        track = snapshot.state.track
+        size += 0 if track is None else sum(scan.nbytes for scan in track.scans)
         most = max(FEWEST, min(SNAPSHOTS, int(share * SNAPSHOT_BYTES / max(size, 1.0))))
         begin = min(self._kept)
         while len(self._kept) > most + len(self._pinned):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import json
 import math
@@ -125,6 +126,9 @@ class Writer:
         self._lift = scene.LIFT * self._height
         self._survey = None if is_charted(info.source, info.steps) else Survey(extent)
         self._scanned = None if info.source.scans is None else Scanned(info.source)
+        if trunk is not None:  # of one session
+            self._survey, self._scanned = copy.copy(trunk.writer._survey), trunk.writer._scanned
+            extent = trunk.writer._shown.extent
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
@@ -234,11 +238,7 @@ class Writer:
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
             self._write_memory(key, update, step.index, everything, past=moments)
-        if (
-            due(step.index, self._info.steps, self._limits.pictures)
-            if detail == "usual"
-            else everything and self._pace.due
-        ):
+        if self._has_time_for_the_log(step, detail):
             with self._pace.kept():
                 self._write_scans(step)
                 self._write_relations(step)
@@ -247,8 +247,10 @@ class Writer:
         """Complete the file."""
         for writer in (self, *self._branches.values()):
             writer.judge_at_last()
+            found = None if writer._survey is None else writer._survey.found()
+            writer._shown = writer._shown._replace(extent=found or writer._shown.extent)
         if self._survey is not None:
-            self._look_at(self._survey.found())
+            self.show()
         self._stream.close()
 
     def judge_at_last(self) -> None:
@@ -428,8 +430,8 @@ class Writer:
         return turn if detail == "usual" else detail == "all" and self._pace.due
 
     def _write_scans(self, step: SessionStep) -> None:
-        """What all scans of a log met, as the path of the first filter has them."""
-        first = step.filters.get(self._shown.filters[0].key)
+        """What all scans of a log met, as the path of the first filter that is on has them."""
+        first = next(iter(step.filters.values()), None)
         if self._scanned is not None and first is not None:
             cells, _ = self._scanned.along(best_path(first))
             self._stream.log("world/scans", scene.points(cells, scene.SCAN * self._lift))

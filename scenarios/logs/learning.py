@@ -11,8 +11,8 @@ from slam.perception.matching import odometry_noise
 from slam.perception.odometry import worth_matching
 
 GOOD = (
-    "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so scans are not "
-    "matched; --matching on does it all the same"
+    "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so "
+    "--matching auto does not match scans; --matching on does"
 )
 
 

@@ -24,6 +24,7 @@ from app.summary import dump
 from app.types import heaviest_descendant
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from slam.perception.matching import START
 from slam.types import Noise, Params
 from tests.app.live import PATIENCE, Notes, at, change
 
@@ -481,13 +482,26 @@ def test_snapshots_are_fewer_the_longer_the_ancestry_that_they_hold(monkeypatch)
         filters = {f"{i}": (particles, SimpleNamespace(nbytes=size)) for i, size in enumerate(sizes)}
         snapshots = Snapshots()
         for index in range(400):
-            snapshots.keep(Snapshot(SimpleNamespace(done=index, filters=filters), Watch({})))
+            snapshots.keep(Snapshot(SimpleNamespace(done=index, filters=filters, track=None), Watch({})))
         return len(snapshots)
 
     assert kept(0) > 48
     assert 20 < kept(24_600) <= 40  # of 25 000 bytes, with those of the particle
     assert kept(12_100, 12_100) == kept(24_600)
     assert 4 <= kept(10**9) <= 8
+
+
+def test_snapshots_are_fewer_with_scans_to_be_matched_with(monkeypatch):
+    monkeypatch.setattr("app.live.history.SNAPSHOT_BYTES", 1e6)
+    kept = {}
+    for points in (0, 7, 70):
+        track, snapshots = START._replace(scans=(np.zeros((points, 4)),) * 100), Snapshots()
+        for index in range(400):
+            snapshots.keep(Snapshot(SimpleNamespace(done=index, filters={}, track=track), Watch({})))
+        kept[points] = len(snapshots)
+    assert kept[0] > 48
+    assert 20 < kept[7] <= 45  # 22 kB each
+    assert kept[70] <= 8
 
 
 def test_a_listener_that_fails_is_told_no_more(live):

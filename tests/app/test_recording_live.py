@@ -102,7 +102,7 @@ def test_pictures_take_no_more_than_their_share_of_the_time(
     clock, details = SimpleNamespace(now=100.0), []
 
     class Told:
-        def __init__(self, *_: Any) -> None: ...
+        def __init__(self, *_: Any, **__: Any) -> None: ...
 
         def step(self, step: int, detail: Detail) -> None:
             details.append(detail)
@@ -130,7 +130,7 @@ def test_quick_pictures_are_shown_no_more_often_than_anybody_sees_them(
     """They take no time at all; there are a hundred steps, ten times as many in a second as pictures for viewers."""
     clock, details = SimpleNamespace(now=100.0), []
     told = SimpleNamespace(step=lambda step, detail: details.append(detail), close=lambda: None)
-    monkeypatch.setattr("app.recording.session.Writer", lambda *_: told)
+    monkeypatch.setattr("app.recording.session.Writer", lambda *_, **__: told)
     monkeypatch.setattr("app.recording.session.monotonic", lambda: clock.now)
     writer = SessionWriter(None, live)  # type: ignore[arg-type]
     settings = SimpleNamespace(filters=KEYS, params=info.params, noise=info.noise)

@@ -14,11 +14,12 @@ import pytest
 import rerun.blueprint as rrb
 
 from app import session
-from app.recording import Recorder
-from app.recording.ground import Extent, Survey, extent_of
+from app.recording import Recorder, ground
+from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of
 from app.recording.reading import Recording, open_reader
 from app.recording.stream import FileStream
-from app.recording.writer import CELLS, Writer
+from app.recording.writer import Writer
+from app.scans import returns
 from app.sources import LogParts, load
 from app.types import SessionInfo, SessionStep, best_path
 from scenarios.registry import build
@@ -73,9 +74,10 @@ def views(part: Any) -> Iterator[Any]:
             yield from views(one)
 
 
-def looks_at(layout: rrb.Blueprint) -> tuple[Floats, float]:
-    """Where the first map looks, (2,) [m], and how far from there the eye is [m]."""
-    eye: Any = next(views(layout.root_container)).properties["EyeControls3D"]
+def looks_at(layout: rrb.Blueprint, origin: str = "/world") -> tuple[Floats, float]:
+    """Where the first map of a run looks, (2,) [m], and how far from there the eye is [m]."""
+    first = next(view for view in views(layout.root_container) if view.origin == origin)
+    eye: Any = first.properties["EyeControls3D"]
     ((x, y, _),), ((_, _, height),) = (v.as_arrow_array().to_pylist() for v in (eye.look_target, eye.position))
     return np.array([x, y]), height
 
@@ -84,6 +86,15 @@ def lines(recording: Recording, entity: str) -> dict[int, list[Floats]]:
     """Its lines, (n, 2) each, by step."""
     rows = recording.rows(entity, "LineStrips3D:strips", "step")
     return {step: [np.array(line)[:, :2] for line in row] for step, row in rows}
+
+
+def moved(step: SessionStep, away: float) -> SessionStep:
+    """A step after which all filters believe to be so far away [m] from where they are."""
+    filters = {
+        key: u._replace(measures=u.measures._replace(estimate=u.measures.estimate + np.array([away, 0.0, 0.0])))
+        for key, u in step.filters.items()
+    }
+    return dataclasses.replace(step, filters=filters)
 
 
 # What is there --------------------------------------------------------------------------------------------------------
@@ -105,9 +116,10 @@ def test_all_scans_lie_along_the_path_of_the_first_filter(
 ) -> None:
     """As it is known at that moment, one point for each square in which a beam ended."""
     recording, steps = recorded
-    step, cell = steps[at], extent_of(info.source, info.steps).size / CELLS
+    step = steps[at]
     drawn = np.array(dict(recording.rows("/world/scans", "Points3D:positions", "step"))[step.index])[:, :2]
     path = best_path(step.filters[KEYS[0]])
+    _, cell = Scanned(info.source).along(path)
     scans = [s.frame.scan for s in steps[: step.index] if s.frame.scan is not None]
     seen = np.concatenate([ends(scan, pose) for scan, pose in zip(scans, path, strict=True)])
     away = np.abs(seen[:, None] - drawn).max(axis=2)
@@ -115,6 +127,36 @@ def test_all_scans_lie_along_the_path_of_the_first_filter(
     assert away.min(axis=1).max() <= 0.5 * cell + 1e-5
     between = np.abs(drawn[:, None] - drawn).max(axis=2) + np.eye(len(drawn))
     assert between.min() > 0.99 * cell
+
+
+def test_they_lie_along_the_next_one_where_the_first_is_off(
+    recorded: tuple[Recording, list[SessionStep]], info: SessionInfo, tmp_path: Path
+) -> None:
+    _, steps = recorded
+    writer = Writer(info, lambda *how: FileStream(tmp_path / "off.rrd", *how))
+    writer.step(steps[0])
+    for step in steps[1:4]:
+        writer.step(dataclasses.replace(step, filters={KEYS[1]: step.filters[KEYS[1]]}))
+    writer.close()
+    drawn = dict(Recording(tmp_path / "off.rrd").rows("/world/scans", "Points3D:positions", "step"))
+    assert sorted(drawn) == [1, 2, 3, 4]
+
+
+def test_a_branch_is_framed_by_its_run_and_reads_no_scan_again(
+    recorded: tuple[Recording, list[SessionStep]], info: SessionInfo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed: list[Scan] = []
+    monkeypatch.setattr(ground, "returns", lambda scan, pose: placed.append(scan) or returns(scan, pose))
+    stream = Kept(tmp_path / "branch.rrd", rrb.Blueprint(), "branch")
+    writer, (_, steps) = Writer(info, lambda *_: stream), recorded
+    for step, away in zip(steps[:3], (0.0, 100.0, 0.0), strict=True):
+        writer.step(moved(step, away))
+    writer.fork(info, "other").step(moved(steps[3], 200.0))
+    assert len(placed) == 4
+    writer.close()
+    home = steps[0].filters["dfs"].measures.estimate
+    for origin, far in (("/world", 100.0), ("/branch/other/world", 200.0)):
+        assert looks_at(stream.layouts[-1], origin)[0][0] == pytest.approx(home[0] + 0.5 * far, abs=2.0)
 
 
 def test_only_logs_have_all_their_scans(tmp_path: Path) -> None:
@@ -195,10 +237,10 @@ def test_a_reference_is_the_truth(drive: Drive, tmp_path: Path) -> None:
 # The ground -----------------------------------------------------------------------------------------------------------
 
 
-def stood(*places: tuple[float, float]) -> SessionStep:
-    """A step after which filters believe to be there."""
+def stood(*places: tuple[float, float]) -> Floats:
+    """(n, 3) what is told of a step after which filters believe to be there."""
     updates = [SimpleNamespace(measures=SimpleNamespace(estimate=np.array([*place, 0.0]))) for place in places]
-    return SimpleNamespace(filters=dict(enumerate(updates)))  # type: ignore[return-value]
+    return estimates(SimpleNamespace(filters=dict(enumerate(updates))))  # type: ignore[arg-type]
 
 
 def test_what_is_shown_grows_with_where_filters_have_been() -> None:
@@ -236,11 +278,7 @@ def test_windows_show_where_the_robot_has_been(
     writer = Writer(info, opened)
     layouts = streams[0].layouts
     for step, away in zip(steps[:4], (0.0, 100.0, 120.0, 0.0), strict=True):
-        filters = {
-            key: u._replace(measures=u.measures._replace(estimate=u.measures.estimate + np.array([away, 0.0, 0.0])))
-            for key, u in step.filters.items()
-        }
-        writer.step(dataclasses.replace(step, filters=filters))
+        writer.step(moved(step, away))
     writer.close()
     begin, far, end = (looks_at(layout) for layout in layouts)  # 120 m are within the room to go on
     extent = extent_of(info.source, info.steps)

@@ -117,6 +117,16 @@ def test_what_is_learned_is_what_the_filters_believe(tmp_path: Path, monkeypatch
     np.testing.assert_allclose(moved, increments(arc(30)[4:25:3]), atol=1e-5)
 
 
+@pytest.mark.parametrize(("turn", "told"), [(0.005, True), (0.05, False)])
+def test_very_good_odometry_is_told_in_words_that_hold_whatever_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: float, told: bool
+) -> None:
+    """Nobody knows there how scans will be matched."""
+    monkeypatch.setattr(learning, "odometry_noise", lambda *_: OdometryNoise(turn_per_metre=turn))
+    warnings = with_learned_odometry(read_log(write(tmp_path, plain_log(arc(30))))).warnings
+    assert any("--matching auto does not match scans; --matching on does" in text for text in warnings) == told
+
+
 def test_of_what_is_no_log_of_a_laser_nothing_is_learned(tmp_path: Path) -> None:
     alone = read_log(write(tmp_path, plain_log(arc(1))))
     park = tmp_path / "park"

@@ -16,7 +16,7 @@ from slam.geometry import wrap
 from slam.map_store import MapStore
 from slam.metrics import measure
 from slam.motion import Odometry
-from slam.phases import initial, merge_features, noise_of_known, observation_noise
+from slam.phases import extend_features, initial, merge_features, noise_of_known, observation_noise
 from slam.presets import LOG
 from slam.types import IGNORED, NEW, UNKNOWN_TAG, Floats, Frame, Ints, Noise, Params, Particles
 
@@ -148,6 +148,17 @@ def test_a_wall_is_merged_once_a_step_and_the_rest_later(paired: list[int]) -> N
     after, n = merged(after, pieces, n.tolist())
     assert after.maps.indices(0).tolist() == [0]
     assert n.tolist() == [[0, 0]]
+
+
+def test_two_pieces_extend_the_wall_that_both_are_paired_with_now() -> None:
+    """One at either end: neither is lost."""
+    walls = [along_x(-2.0, 1.0, -1.0), along_x(-0.5, 3.0, -1.01)]
+    pieces = frame_of(seen_along_x(-3.0, 0.0, -1.0), seen_along_x(0.5, 4.0, -1.0))
+    after, n = merged(particles_with(walls), pieces, [[0, 1]])
+    assert n.tolist() == [[0, 0]]
+    (theta,) = extend_features(after, pieces, n).maps.features(0)[0]
+    np.testing.assert_allclose(theta[0] + theta[3:5], [-3.0, 4.0])
+    assert theta[7] == 6.0
 
 
 def test_particles_that_share_a_map_are_independent() -> None:
