@@ -17,11 +17,6 @@ from tests.scenarios.laser_logs import plain_log, write
 KEYS = ("dfs", "fs2", "ekf")
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
 def run(*arguments: object) -> int:
     return cli.entry(["run", *map(str, arguments), "--particles", "20", "--filters", *KEYS])
 

@@ -17,11 +17,6 @@ from slam.geometry import wrap_all
 from tests.app.drive import Drive
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
 def followed(source: Source, *matching: str, steps: int | None = None) -> Paths:
     """What is known after some steps, with `matching` in turn."""
     paths = Paths()

@@ -32,11 +32,6 @@ from tests.app.test_recording_walls import recorded_strictly
 KEYS, K = ("fs2", "dfs"), 10
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
 def info_of(drive: Drive, reference: bool = False, **changes: Any) -> SessionInfo:
     source = load(str(drive.log), {}, LogParts(reference=drive.reference if reference else None))
     filters = [ESTIMATORS[key] for key in KEYS]

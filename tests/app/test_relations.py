@@ -22,11 +22,6 @@ from tests.app.test_recording import Watch
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
-@pytest.fixture(scope="module")
 def info(drive: Drive) -> SessionInfo:
     source = load(str(drive.log), {}, LogParts(first=5))
     return session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=5, matching="auto"))

@@ -37,11 +37,6 @@ PATIENCE = 60.0
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
-@pytest.fixture(scope="module")
 def source(drive: Drive) -> Source:
     return keyframes(read_log(drive.log), 0.0, 0.0)
 

@@ -27,11 +27,6 @@ from tests.scenarios.laser_logs import plain_log, write
 CLOSURES = ((3, 51), (30, 12), (9, 39))
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return Drive(tmp_path_factory.mktemp("drive"))
-
-
 def study(*arguments: object) -> int:
     words = list(map(str, arguments))
     for option, usual in {"--matching": "off", "--keyframe": "0.25,8"}.items():
