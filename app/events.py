@@ -10,7 +10,9 @@ import numpy as np
 
 from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
-from slam.types import Floats, Frame
+from slam.features import Point, Wall
+from slam.types import Floats, Frame, Trace
+from slam.weights import weight_variance
 
 FEW = 0.1
 """Share of K below which N_eff means that a filter is depleted of hypotheses."""
@@ -114,12 +116,7 @@ class Watch:
         if K == 1:
             return
         if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
-            heaviest = float(np.exp(trace.weighted.log_w.max()))
-            yield (
-                "depleted",
-                "WARN",
-                f"is depleted: N_eff fell to {trace.n_eff:.1f} of {K}, one particle holds {heaviest:.0%} of the weight",
-            )
+            yield "depleted", "WARN", _depleted(update, step.frame)
         if trace.did_resample:
             yield "resampled", "DEBUG", _resampled(update, step.params.resample_below)
         if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
@@ -152,6 +149,34 @@ def _loop_closed(gaps: Distances) -> str:
 def _merged(absorbed: int, left: int) -> str:
     what = "a wall" if absorbed == 1 else f"{absorbed} walls"
     return f"merged {what} of its best map with older ones, since something seen lies along both; it has {left} now"
+
+
+def _depleted(update: FilterUpdate, frame: Frame) -> str:
+    """How far, and what this step had to do with it (`slam.weights`)."""
+    trace = update.trace
+    K, heaviest = len(trace.weighted.log_w), float(np.exp(trace.weighted.log_w.max()))
+    text = f"is depleted: N_eff fell to {trace.n_eff:.1f} of {K}, one particle holds {heaviest:.0%} of the weight"
+    why = weight_variance(trace)
+    if not why.deviation > 0.0:
+        return text
+    first, second = COMPONENTS[type(frame.feature)]
+    parts = {first: why.first, second: why.second, "what was not matched": why.unmatched, "the draw": why.drawn}
+    shares = [f"{share:.0%} by {part}" for part, share in parts.items() if round(share, 2)]
+    i = int(np.argmax(why.observations))
+    text += f"; in this step {_observation(trace, i, update.measures.best)} of {len(why.observations)} has "
+    text += f"{why.observations[i]:.0%} of the variance of the log weights; {', '.join(shares)}"
+    if not math.isnan(why.inside):
+        text += f"; {why.inside:.0%} of the particles are where the likelihood is"
+    return text
+
+
+COMPONENTS = {Point: ("ranges", "bearings"), Wall: ("lateral offsets", "angles")}
+"""Of an observation, by the kind of the feature."""
+
+
+def _observation(trace: Trace, i: int, best: int) -> str:
+    n = trace.n[best, i]
+    return f"observation {i + 1}" + (f" (feature {n} of the best map)" if n >= 0 else "")
 
 
 def _resampled(update: FilterUpdate, threshold: float) -> str:

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from app.colours import of_filter
 from app.compiling import CompileClock
+from app.paths import MATCHED, ODOMETRY
 from app.relations import PathErrors
 from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
 from app.summary import FilterSeries, Summary
@@ -86,8 +87,11 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     print_whole(console, table(summary))
     console.print()
     if summary.paths is not None:
-        print_whole(console, relations_table(summary.paths, {key: s.title for key, s in summary.filters.items()}))
+        titles = {key: series.title for key, series in summary.filters.items()}
+        print_whole(console, relations_table(summary.paths, titles))
         console.print()
+        for sentence in on_relations(summary.paths, titles):
+            console.print(sentence, style="yellow", soft_wrap=True, markup=False)
     if summary.steps and not summary.observed:
         thing = "landmark" if isinstance(info.source.feature, Point) else "wall"
         console.print(f"no {thing} was seen in any of these steps: all of this is dead reckoning", style="yellow")
@@ -139,6 +143,24 @@ def relations_table(paths: PathErrors, titles: Mapping[str, str]) -> Table:
             cells = [f"{number(metres)} m {number(math.degrees(angle))}°" for metres, angle in both]
         result.add_row(title, *cells, str(errors.used), str(errors.left_out))
     return result
+
+
+def on_relations(paths: PathErrors, titles: Mapping[str, str]) -> list[str]:
+    """Sentences on what the table does not say: that there was nothing to judge by, and which filters are worse than
+    none."""
+    found = paths.found()
+    means = {key: errors.translation_m.mean for key, errors in found.items() if errors.translation_m is not None}
+    if found and not means:
+        return [f"none of the {len(paths.relations.times)} relations is between two scans of the part that was run"]
+    told = []
+    for key in titles:
+        for alone in (ODOMETRY, MATCHED):
+            if key in means and means[key] > means.get(alone, math.inf):
+                told.append(
+                    f"{titles[key]} is worse than {alone} alone: {number(means[key])} m against "
+                    f"{number(means[alone])} m, in the mean of the relations"
+                )
+    return told
 
 
 def _rows(summary: Summary) -> list[tuple[str, Callable[[FilterSeries], str]]]:

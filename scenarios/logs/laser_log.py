@@ -116,6 +116,11 @@ def spread(path: Path, lines: Ints, groups: Sequence[Beams]) -> tuple[tuple[Beam
         if n in FIELD_OF_VIEW:
             start, spacing = FIELD_OF_VIEW[n]
             bearings = np.radians(start + spacing * np.arange(n))
+            if len({FIELD_OF_VIEW.get(count) for count in counts}) > 1:
+                warnings.append(
+                    f"{first}: the number of readings changes, and nothing tells where the beams look; those of "
+                    f"{len(group.rows)} scans of {n} are taken to be {spacing:g} degrees apart, from {start:g}"
+                )
         else:
             if n and len(counts) > 1:
                 others = " or ".join(str(count) for count in sorted(counts - {n}))
@@ -152,7 +157,7 @@ def source_of(log: LaserLog) -> Source:
         noise=Noise(range=range_noise(beams), odometry=ODOMETRY),
         max_range=max(group.limit for group in beams),
         defaults=dict(LOG),
-        warnings=(*log.warnings, *warnings, *_time_warnings(log), *_leap_warnings(log)),
+        warnings=(*log.warnings, *warnings, *_time_warnings(log), *_leap_warnings(log), *_rest_warnings(log)),
         scans=LogScans(log.stamps, log.odometry, np.arange(len(log.stamps))),
     )
 
@@ -237,6 +242,13 @@ def _leap_warnings(log: LaserLog) -> list[str]:
         f"{log.place(int(odd[0]) + 1)}: {len(odd)} times the odometry leaps by more than {LEAP:g} m between two scans, "
         f"here by {way[odd[0]]:.1f} m"
     ]
+
+
+def _rest_warnings(log: LaserLog) -> list[str]:
+    """That the odometry never changes: of a robot at rest, or of one that has none."""
+    if len(log.odometry) < 2 or np.ptp(log.odometry, axis=0).any():
+        return []
+    return [f"{log.path}: by its odometry the robot never moves, so all scans are taken to be from one place"]
 
 
 def _cleaned(log: LaserLog) -> tuple[list[Beams], list[str]]:

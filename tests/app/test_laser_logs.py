@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from app import cli
+from slam.estimators import ESTIMATORS
 from slam.geometry import compose, invert
 from tests.app.drive import STEPS, Drive, tum
 from tests.scenarios.laser_logs import plain_log, write
@@ -64,19 +65,39 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     (line,) = [line for line in out.splitlines() if line.startswith("odometry ")]
     assert f"{relations['odometry']['translation_m']['mean']:.3g} m" in line
     assert f"{math.degrees(relations['odometry']['rotation_rad']['max']):.3g}°" in line
-    assert out.count("Dual FastSLAM") == 2  # in the table of filters, and in that of relations
+    named = [line for line in out.splitlines() if "Dual FastSLAM" in line and "is worse than" not in line]
+    assert len(named) == 2  # in the table of filters, and in that of relations
 
 
 @pytest.mark.parametrize(
     ("options", "used"), [(("--to", 21), 1), (("--from", 12, "--to", 55), 1), (("--steps", 27), 2), (("--steps", 2), 0)]
 )
-def test_relations_of_a_part_are_counted(drive: Drive, tmp_path: Path, options: tuple[object, ...], used: int) -> None:
+def test_relations_of_a_part_are_counted(
+    drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[object, ...], used: int
+) -> None:
     summary = tmp_path / "s.json"
     assert run(drive.log, "--relations", drive.relations, *options, "--summary", summary) == 0
     relations = json.loads(summary.read_text())["relations"]
     for key in ("odometry", *KEYS):
         assert (relations[key]["used"], relations[key]["left_out"]) == (used, 4 - used)
         assert (relations[key]["translation_m"] is None) == (used == 0)
+    nothing = "none of the 4 relations is between two scans of the part that was run"
+    assert (nothing in capsys.readouterr().out) == (used == 0)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_filter_that_is_worse_than_none_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], exact: bool
+) -> None:
+    drive, summary = Drive(tmp_path, exact=exact), tmp_path / "s.json"
+    assert run(drive.log, "--relations", drive.relations, "--matching", "off", "--summary", summary) == 0
+    relations = json.loads(summary.read_text())["relations"]
+    means = {key: relations[key]["translation_m"]["mean"] for key in ("odometry", *KEYS)}
+    out = capsys.readouterr().out
+    for key in KEYS:
+        sentence = f"{ESTIMATORS[key].title} is worse than odometry alone: {means[key]:.3g} m against"
+        assert (sentence in out) == (means[key] > means["odometry"])
+    assert (means["dfs"] > means["odometry"]) == exact
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.genealogy import Branch
+from slam.weights import weight_variance
 
 STEPS, K, FEWER, CHANGE = 14, 20, 15, 9
 KEYS = ("dfs", "fs2", "fs1", "ekf")
@@ -223,7 +224,15 @@ def test_events_tell_what_happened(recorded):
     assert [(e.step, e.text) for e in events if "Parameter" in e.text] == [
         (CHANGE, f"{CHANGE}: Parameter changed: particles: {K} -> {FEWER}")
     ]
-    assert any(e.level == "WARN" and e.text.startswith(f"{e.step}: FastSLAM 1.0 is depleted") for e in events)
+    depleted = [e for e in events if e.level == "WARN" and e.text.startswith(f"{e.step}: FastSLAM 1.0 is depleted")]
+    assert depleted
+    for event in depleted:
+        why = weight_variance(steps[event.step - 1].filters["fs1"].trace)
+        decisive = int(np.argmax(why.observations))
+        assert f"observation {decisive + 1}" in event.text
+        share = f" of {len(why.observations)} has {why.observations[decisive]:.0%} of the variance of the log weights"
+        assert f"{share}; {why.first:.0%} by ranges, {why.second:.0%} by bearings" in event.text
+        assert event.text.endswith(f"{why.inside:.0%} of the particles are where the likelihood is")
 
 
 def test_two_runs_give_the_same_recording(recorded, info, tmp_path):

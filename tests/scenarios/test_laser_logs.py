@@ -82,6 +82,15 @@ def test_scans_of_180_and_181_beams_may_alternate(tmp_path: Path) -> None:
     np.testing.assert_allclose(dead_reckoning(source), POSES, atol=2e-6)
 
 
+def test_numbers_of_beams_of_different_lasers_are_told(tmp_path: Path) -> None:
+    text = "".join(flaser(readings(k, 181 if k < 3 else 361), p, p, float(k)) for k, p in enumerate(POSES))
+    one, other = read_log(write(tmp_path, text)).warnings
+    assert "some.log:1: the number of readings changes" in one
+    assert "those of 3 scans of 181 are taken to be 1 degrees apart, from -90" in one
+    assert "some.log:4: " in other
+    assert "those of 2 scans of 361 are taken to be 0.5 degrees apart, from -90" in other
+
+
 def test_other_numbers_of_beams_are_spread_in_front(tmp_path: Path) -> None:
     source = read_log(write(tmp_path, plain_log(POSES, 91)))
     assert np.degrees(scan_of(source).bearings[[0, 1, -1]]) == pytest.approx([-90, -88, 90])
@@ -293,6 +302,7 @@ def test_a_robot_that_stands_still_for_an_hour(tmp_path: Path) -> None:
     assert (len(source.steps), len(kept.steps)) == (18000, 2)
     assert sum(step.frame.dt.sum() for step in kept.steps) == pytest.approx(0.2 * 17999)
     np.testing.assert_allclose(dead_reckoning(kept), [pose, pose], atol=1e-6)
+    assert any("some.log: by its odometry the robot never moves" in warning for warning in source.warnings)
 
 
 # -- cut short ------------------------------------------------------------------------------------------------------
