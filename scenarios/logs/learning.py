@@ -7,8 +7,8 @@ from dataclasses import replace
 from scenarios.logs.odometry import increments
 from scenarios.types import Source
 from slam.motion import Odometry
-from slam.perception.matching import odometry_noise
 from slam.perception.odometry import worth_matching
+from slam.perception.odometry_noise import odometry_noise
 
 GOOD = (
     "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so "

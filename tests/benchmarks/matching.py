@@ -18,7 +18,8 @@ import numpy as np
 from scenarios.registry import build
 from scenarios.types import Step
 from slam.geometry import compose, invert
-from slam.perception.matching import START, Matcher, OdometryNoise, match, odometry_noise
+from slam.perception.matching import START, Matcher, match
+from slam.perception.odometry_noise import OdometryNoise, odometry_noise
 from slam.types import Floats, Scan
 
 WORLDS = (

@@ -17,7 +17,7 @@ from scenarios.registry import build
 from scenarios.types import Source
 from slam.geometry import compose
 from slam.motion import Odometry, deviation
-from slam.perception.matching import OdometryNoise
+from slam.perception.odometry_noise import OdometryNoise
 from slam.types import Floats, Noise, Scan
 from tests.scenarios.laser_logs import arc, flaser, plain_log, write
 from tests.slam.rays import Laser

@@ -14,15 +14,14 @@ from slam.perception.matching import (
     START,
     Match,
     Matcher,
-    OdometryNoise,
     Track,
     _linearise,
     _submap,
     match,
-    odometry_noise,
     surface_points,
 )
 from slam.perception.odometry import GOOD_HEADING
+from slam.perception.odometry_noise import OdometryNoise, odometry_noise
 from slam.types import Floats, Scan
 from tests.slam.rays import Laser, box, look, path, room
 
