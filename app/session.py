@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.compiling import CompileClock, uninterrupted_compilation
+from app.diagnosis.evidence import evidence_of
 from app.interrupt import Interrupts
 from app.types import FilterUpdate, Observer, SessionInfo, SessionStep
 from scenarios.noise import add_noise
@@ -88,7 +89,8 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
         genealogy = genealogy.grow(trace.ancestors, trace.resampled.s)
         measures = measure(trace, frame, truth, info.source.true_map, genealogy)
         states[estimator.key] = (after, genealogy)
-        updates[estimator.key] = FilterUpdate(trace, seconds, measures, genealogy)
+        evidence = evidence_of(trace, measures, frame, params)
+        updates[estimator.key] = FilterUpdate(trace, seconds, measures, genealogy, evidence)
 
     step = SessionStep(
         index,

@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from app.diagnosis.evidence import Evidence
 from scenarios.types import Source
 from slam.genealogy import Genealogy
 from slam.metrics import Measures
@@ -24,6 +25,8 @@ class FilterUpdate(NamedTuple):
     """Errors, NEES, N_eff, diversity, features, duplicates ... of this step (`slam.metrics`)."""
     genealogy: Genealogy
     """The ancestry of the particles up to and including this step."""
+    evidence: Evidence
+    """What a diagnosis is made of."""
 
 
 def best_descendant(update: FilterUpdate) -> int:

@@ -1,6 +1,6 @@
-"""Why weights differ: which observations part the particles, and what of them.
+"""Why weights differ: which observations part the particles, and what of them; and whether innovations are as expected.
 
-Nothing here is seen by a filter.  `weight_variance` is one step of one filter.
+Nothing here is seen by a filter.  `weight_variance` and `innovation_statistics` are of one step of one filter.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from slam._jit import kernel
 from slam.association.jcbb import chi_square_gates
 from slam.linalg import LOG_TWO_PI
-from slam.types import Floats, Innovations, Trace
+from slam.types import Bools, Floats, Ints, Trace
 
 
 class WeightVariance(NamedTuple):
@@ -45,38 +46,57 @@ class WeightVariance(NamedTuple):
     particles are in vain; NaN where less than two particles have matched anything."""
 
 
+class InnovationStatistics(NamedTuple):
+    """What was seen of known features, beside what the particles together expected of it.
+
+    For each observation the innovations of the particles that have matched it are a mixture with the mean v and the
+    covariance C = mean V + covariance of v between particles, weighted as before the step.  Of a consistent filter
+    v^T C^-1 v (the NIS) is chi-square with two degrees of freedom, and each of its two parts with one.  Where all
+    observations of a step are taken at the predicted pose they share its error: the mean is right, but they are not
+    independent.
+    """
+
+    first: float
+    """Mean of v_1^2 / C_11 over the observations: 1 is expected.  NaN where nothing was matched."""
+    second: float
+    """That of the second component given the first, v_2 - C_21 v_1 / C_11: 1 is expected."""
+    matched: float
+    """How many observations were matched: a particle's, on the average."""
+
+
 def weight_variance(trace: Trace) -> WeightVariance:
     """The parts of the variance of the log weights of one step, and what it says of the proposal."""
-    prior = np.exp(trace.predicted.log_w)
-    possible = np.isfinite(trace.log_likelihood).all(axis=1) & (prior > 0.0)
+    prior, log_p = np.exp(trace.predicted.log_w), trace.log_likelihood
+    Z, nan = log_p.shape[1], math.nan
+    possible = np.isfinite(log_p).all(axis=1) & (prior > 0.0)
     if not possible.any():
-        nan = math.nan
-        return WeightVariance(nan, np.full(trace.n.shape[1], nan), nan, nan, nan, nan, nan, (nan, nan))
-    w, log_p, matched = prior[possible], trace.log_likelihood[possible], trace.n[possible] >= 0
+        return WeightVariance(nan, np.full(Z, nan), nan, nan, nan, nan, nan, (nan, nan))
+    w = np.where(possible, prior, 0.0)
     w /= w.sum()
-    innovations = Innovations(*(part[possible] for part in trace.innovations))
-    first, second = (
-        np.where(matched, trace.temper * part, 0.0).sum(axis=1) for part in log_density_by_component(innovations)
-    )
-    unmatched, L = np.where(matched, 0.0, log_p).sum(axis=1), log_p.sum(axis=1)
+    L, first, second, unmatched, distance = sums = np.zeros((5, len(w)))
+    _sum_over_observations(w, log_p, trace.n, *trace.innovations, trace.temper, sums)
 
-    away = L - w @ L
+    away = np.where(possible, L - w @ L, 0.0)
+    away -= np.where(possible, w @ away, 0.0)  # twice: the sum may be large beside what it varies by
     variance = float(w @ away**2)
     if variance <= ROUNDING * float(w @ L**2):
         variance = 0.0
+    observations = np.zeros(Z)
+    _covariances(w * away, log_p, observations)
+    observations = observations / variance if variance > 0.0 else np.full(Z, nan)
 
-    def share(part: Floats) -> Any:
-        return (w * away) @ (part - w @ part) / variance if variance > 0.0 else np.full(part.shape[1:], math.nan)
+    def share(part: Floats) -> float:
+        return float((w * away) @ part) / variance if variance > 0.0 else nan
 
     return WeightVariance(
         deviation=math.sqrt(variance),
-        observations=share(log_p),
-        first=float(share(first)),
-        second=float(share(second)),
-        unmatched=float(share(unmatched)),
-        drawn=float(share(L - first - second - unmatched)),
-        inside=_inside(innovations, matched),
-        wide=_wide(innovations, matched, w),
+        observations=observations,
+        first=share(first),
+        second=share(second),
+        unmatched=share(unmatched),
+        drawn=share(L - first - second - unmatched),
+        inside=_inside(distance, trace.n >= 0, possible),
+        wide=_wide(_mixtures(trace, w)),
     )
 
 
@@ -84,55 +104,129 @@ ROUNDING = 1e-20
 """Of the mean square of a sum of logarithms, the variance that rounding alone leaves."""
 
 
-def log_density_by_component(innovations: Innovations) -> tuple[Floats, Floats]:
-    """log N(v_1; 0, V_11) and log N(v_2 | v_1) (K, Z), which sum to log N(v; 0, V); NaN where nothing was matched."""
-    v, V = innovations
-    cross = V[..., 0, 1] / V[..., 0, 0]
-    means, variances = (0.0, cross * v[..., 0]), (V[..., 0, 0], V[..., 1, 1] - cross * V[..., 0, 1])
-    first, second = (
-        -0.5 * (LOG_TWO_PI + np.log(variance) + (v[..., a] - mean) ** 2 / variance)
-        for a, (mean, variance) in enumerate(zip(means, variances, strict=True))
-    )
-    return first, second
+def innovation_statistics(trace: Trace) -> InnovationStatistics:
+    """Predicted against actual innovations of the particles together."""
+    m = _mixtures(trace, np.exp(trace.predicted.log_w))
+    if not len(m.weight):
+        return InnovationStatistics(math.nan, math.nan, 0.0)
+    C = m.V + m.between
+    cross = C[:, 0, 1] / C[:, 0, 0]
+    first = m.v[:, 0] ** 2 / C[:, 0, 0]
+    second = (m.v[:, 1] - cross * m.v[:, 0]) ** 2 / (C[:, 1, 1] - cross * C[:, 0, 1])
+    count = float(m.weight.sum())
+    return InnovationStatistics(float(m.weight @ first) / count, float(m.weight @ second) / count, count)
 
 
-def normalised_innovation(innovations: Innovations) -> Floats:
-    """v^T V^-1 v (K, Z), the NIS: of a filter that is consistent chi-square with two degrees of freedom."""
-    v, V = innovations
-    (a, b), d = (V[..., 0, 0], V[..., 0, 1]), V[..., 1, 1]
-    return (d * v[..., 0] ** 2 - 2.0 * b * v[..., 0] * v[..., 1] + a * v[..., 1] ** 2) / (a * d - b * b)
+def innovation_widths(trace: Trace, R: Floats) -> Floats:
+    """(Z,) deviation that the particles that matched an observation expect of it, over that of the sensor alone.
+
+    The geometric mean of both components, (det V / det R)^1/4, with R (Z, 2, 2) as it is believed for known features: 1
+    where pose and map add nothing, large where the pose is uncertain; NaN where nothing was matched.
+    """
+    m = _mixtures(trace, np.exp(trace.predicted.log_w))
+    widths = np.full(len(R), np.nan)
+    widths[m.observation] = (np.linalg.det(m.V) / np.linalg.det(R[m.observation])) ** 0.25
+    return widths
 
 
-def mean_nis(trace: Trace) -> float:
-    """The mean of `normalised_innovation` over particles, as weighted before the step, and what they matched; NaN for
-    nothing."""
-    nis = normalised_innovation(trace.innovations)
-    w = np.exp(trace.predicted.log_w)[:, None] * np.isfinite(nis)
-    return float((w * np.where(w > 0.0, nis, 0.0)).sum() / w.sum()) if w.sum() > 0.0 else math.nan
+@kernel
+def _sum_over_observations(w: Any, log_p: Any, n: Any, v: Any, V: Any, temper: Any, sums: Any) -> None:
+    """Of each particle that counts: L, what the first and the second component of what it matched have in it,
+    log N(v; 0, V) = log N(v_1; 0, V_11) + log N(v_2 | v_1), what it did not match, and its squared distances (25)."""
+    for k in range(len(w)):
+        if w[k] > 0.0:
+            for i in range(log_p.shape[1]):
+                sums[0, k] += log_p[k, i]
+                if n[k, i] < 0:
+                    sums[3, k] += log_p[k, i]
+                    continue
+                cross = V[k, i, 0, 1] / V[k, i, 0, 0]
+                rest = V[k, i, 1, 1] - cross * V[k, i, 0, 1]
+                near = v[k, i, 0] ** 2 / V[k, i, 0, 0]
+                given = (v[k, i, 1] - cross * v[k, i, 0]) ** 2 / rest
+                sums[1, k] -= 0.5 * temper * (LOG_TWO_PI + np.log(V[k, i, 0, 0]) + near)
+                sums[2, k] -= 0.5 * temper * (LOG_TWO_PI + np.log(rest) + given)
+                sums[4, k] += near + given
 
 
-def _inside(innovations: Innovations, matched: Any) -> float:
+@kernel
+def _covariances(weights: Any, parts: Any, out: Any) -> None:
+    """Add `weights` (K,) times `parts` (K, Z), without those of weight zero, whose parts may be infinite."""
+    for k in range(len(weights)):
+        if weights[k] != 0.0:
+            for i in range(len(out)):
+                out[i] += weights[k] * parts[k, i]
+
+
+def _inside(distance: Floats, matched: Bools, possible: Bools) -> float:
     """Squared distances (25) of a chain of updates sum to that of all of them together."""
-    some = matched.any(axis=1)
+    counts = matched.sum(axis=1)
+    some = possible & (counts > 0)
     if not some.any():
         return math.nan
-    together = np.where(matched, normalised_innovation(innovations), 0.0).sum(axis=1)
     gates = chi_square_gates(0.99, matched.shape[1])
-    return float((together <= gates[matched.sum(axis=1)])[some].mean())
+    return float((distance <= gates[counts])[some].mean())
 
 
-def _wide(innovations: Innovations, matched: Any, w: Floats) -> tuple[float, float]:
+class Mixtures(NamedTuple):
+    """The innovations of each observation that any particle has matched, over these particles."""
+
+    observation: Ints
+    """(m,) which observations these are."""
+    weight: Floats
+    """(m,) of them."""
+    members: Floats
+    """(m,) how many they are."""
+    v: Floats
+    """(m, 2) mean."""
+    V: Floats
+    """(m, 2, 2) mean of what each expects."""
+    between: Floats
+    """(m, 2, 2) covariance of the innovations between them."""
+
+
+def _mixtures(trace: Trace, w: Floats) -> Mixtures:
+    Z = trace.n.shape[1]
+    weight, members, v, V, between = (
+        np.zeros(Z),
+        np.zeros(Z),
+        np.zeros((Z, 2)),
+        np.zeros((Z, 2, 2)),
+        np.zeros((Z, 2, 2)),
+    )
+    _mix(w, trace.n, *trace.innovations, weight, members, v, V, between)
+    matched = np.flatnonzero(weight)
+    return Mixtures(matched, *(part[matched] for part in (weight, members, v, V, between)))
+
+
+@kernel
+def _mix(w: Any, n: Any, v: Any, V: Any, weight: Any, members: Any, mean: Any, expected: Any, between: Any) -> None:
+    for i in range(len(weight)):
+        for k in range(len(w)):
+            if n[k, i] >= 0 and w[k] > 0.0:
+                weight[i] += w[k]
+                members[i] += 1.0
+                for a in range(2):
+                    mean[i, a] += w[k] * v[k, i, a]
+                    for b in range(2):
+                        expected[i, a, b] += w[k] * V[k, i, a, b]
+        for a in range(2):
+            mean[i, a] /= weight[i]
+            for b in range(2):
+                expected[i, a, b] /= weight[i]
+        for k in range(len(w)):
+            if n[k, i] >= 0 and w[k] > 0.0:
+                for a in range(2):
+                    for b in range(2):
+                        off = (v[k, i, a] - mean[i, a]) * (v[k, i, b] - mean[i, b])
+                        between[i, a, b] += w[k] * off / weight[i]
+
+
+def _wide(mixed: Mixtures) -> tuple[float, float]:
     """Each observation counts by the weight of the particles that have matched it, if they are two at least."""
-    w = np.where(matched & (matched.sum(axis=0) > 1), w[:, None], 0.0)
-    counts = w.sum(axis=0)
-    if not counts.any():
+    several = mixed.members > 1
+    if not several.any():
         return math.nan, math.nan
-    v = np.where(matched[..., None], innovations.v, 0.0)
-    expected = np.where(matched[..., None], np.diagonal(innovations.V, axis1=2, axis2=3), 0.0)
-    known = counts > 0.0
-    w, counts = w[:, known], counts[known]
-    mean = np.einsum("ki,kia->ia", w, v[:, known]) / counts[:, None]
-    between = np.einsum("ki,kia->ia", w, (v[:, known] - mean) ** 2)
-    ratio = between / np.einsum("ki,kia->ia", w, expected[:, known])
-    first, second = np.sqrt(counts @ ratio / counts.sum()).tolist()
+    between, expected = (np.diagonal(part[several], axis1=1, axis2=2) for part in (mixed.between, mixed.V))
+    first, second = np.sqrt(np.average(between / expected, axis=0, weights=mixed.weight[several])).tolist()
     return first, second

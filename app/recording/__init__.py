@@ -27,6 +27,9 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /plots/n_eff/threshold          where resampling begins
     /genealogy/<filter>             lines of descent over (step, slot)
     /weights/<filter>               sorted weights times K
+    /evidence/<filter>              what `diagnose` goes by, at every step (`app.diagnosis.evidence`): `numbers`, whose
+                                    `names` /evidence has, and by observation its `shares` of the variance of the
+                                    log weights, the `features` of the best map, and `widths` of what is expected
     /branch/<name>/...              the same tree for a branch; property `session-<name>`
     /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON

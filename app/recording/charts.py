@@ -9,6 +9,7 @@ import pyarrow as pa
 import rerun as rr
 
 from app import colours
+from app.diagnosis.evidence import Evidence, Numbers
 from app.recording import arrow
 from app.recording.limits import Limits, sample
 from slam.genealogy import Genealogy, Strip
@@ -86,6 +87,22 @@ def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
     """Weights times K, largest first (a sample of them when there are many): all bars 1 high means equal weights."""
     share = np.sort(np.exp(p.log_w))[::-1] * len(p.log_w)
     return rr.BarChart.from_fields(values=arrow.bars(share[sample(len(share), shown.bars)]), color=rgb)
+
+
+def evidence(found: Evidence) -> rr.AnyValues:
+    """What a diagnosis is made of, for whoever reads the recording; no view shows it."""
+    numbers, (shares, features, widths) = found
+    return rr.AnyValues(
+        numbers=pa.array(numbers, pa.float64()),
+        shares=pa.array(shares),
+        features=pa.array(features),
+        widths=pa.array(widths),
+    )
+
+
+def evidence_names() -> rr.AnyValues:
+    """What the numbers of `evidence` are called, in their order."""
+    return rr.AnyValues(names=list(Numbers._fields))
 
 
 def _shades(strips: list[Strip], rgb: colours.RGB) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import tempfile
 import warnings
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from app.diagnosis.evidence import Observations, Record, record_of
 from app.recording.errors import MAGIC, RecordingError
 from app.recording.program import binary
 from slam.types import Floats, Ints
@@ -23,6 +25,19 @@ if TYPE_CHECKING:
 SCALAR, SESSION = "Scalars:scalars", "/__properties/session"
 MERGED = "/__properties/comparison"
 """What a recording has that `merging` made of others."""
+
+PLOTTED = {
+    "n_eff": ("n_eff", 1.0),
+    "diversity": ("diversity", 1.0),
+    "common_ancestor": ("common_ancestor", 1.0),
+    "position_error_m": ("position_error", 1.0),
+    "heading_error_rad": ("heading_error", math.radians(1.0)),
+    "map_error_m": ("map_error", 1.0),
+    "nees_position": ("nees", 1.0),
+    "features": ("features", 1.0),
+    "duplicates": ("duplicates", 1.0),
+}
+"""By the name that a diagnosis has for it, what is also plotted, and the factor to SI units and radians."""
 
 PATIENCE = 600.0
 """[s] for the repair of a large file."""
@@ -93,6 +108,35 @@ class Recording:
         texts = self._rows(entity, "TextLog:text", "step")
         levels = self._rows(entity, "TextLog:level", "step")
         return [Event(int(t), level[0], text[0]) for (t, text), (_, level) in zip(texts, levels, strict=True)]
+
+    def evidence(self, key: str, prefix: str = "") -> Record:
+        """What a filter left for a diagnosis; `prefix` is that of the entities of a branch, such as `/branch/six`.
+
+        Of a recording that has none (it is of an earlier version) what its plots tell; the rest is missing.
+        """
+        entity, names = f"{prefix}/evidence/{key}", list(self._rows(f"{prefix}/evidence", "names"))
+        columns = [dict(self._rows(entity, what, "step")) for what in ("numbers", *Observations._fields)]
+        steps = sorted(set.intersection(*map(set, columns)))
+        if not names or not steps:
+            return self._evidence_of_plots(key, prefix)
+        numbers, shares, features, widths = columns
+        seen = [
+            Observations(np.array(shares[i], float), np.array(features[i], np.int64), np.array(widths[i], float))
+            for i in steps
+        ]
+        return record_of(np.array(steps), names[0][1], np.array([numbers[i] for i in steps], float), seen)
+
+    def _evidence_of_plots(self, key: str, prefix: str) -> Record:
+        series = {}
+        for name, (metric, unit) in PLOTTED.items():
+            rows = self._rows(f"{prefix}/plots/{metric}/{key}", SCALAR, "step")
+            series[name] = {step: unit * values[0] for step, values in rows if len(values)}
+        steps = sorted(set().union(*series.values()))
+        if not steps:
+            raise RecordingError(f"{self.path} has no numbers of the filter {key}")
+        known = [name for name, found in series.items() if found]
+        rows = np.array([[series[name].get(i, math.nan) for name in known] for i in steps])
+        return record_of(np.array(steps), known, rows, [])
 
     def rows(self, entity: str, component: str, timeline: str = "stage") -> list[tuple[int, list[Any]]]:
         """Every value of a component such as `Points3D:positions`, with its time, in order of time."""

@@ -198,6 +198,7 @@ class Writer:
         for key, update in step.filters.items():
             for metric in METRICS:
                 self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
+            self._stream.log(f"evidence/{key}", charts.evidence(update.evidence))
         self._write_guides(step)
         for event in self._watch.step(step):
             line = rr.TextLog(
@@ -278,6 +279,7 @@ class Writer:
             log(f"world/{entity}", *look)
         for path, name in self._guides.items():
             log(f"plots/{path}", rr.SeriesLines(names=self._shown.named(name), colors=GUIDE, widths=1.0))
+        log("evidence", charts.evidence_names())
         self._write_looks()
 
     def _arrange(self) -> None:

@@ -10,9 +10,10 @@ import pytest
 
 from slam.estimators import ESTIMATORS
 from slam.features import Point
+from slam.linalg import LOG_TWO_PI
 from slam.phases import unweighed
 from slam.types import IGNORED, NEW, Floats, Innovations, Ints, Params, Particles, Trace
-from slam.weights import log_density_by_component, mean_nis, normalised_innovation, weight_variance
+from slam.weights import innovation_statistics, weight_variance
 from tests.slam import plain
 
 SIBLINGS = ["fs1", "fs2", "dfs"]
@@ -28,6 +29,18 @@ def traces_of(key: str, seed: int = 3, **changes: Any) -> list[Trace]:
         state, trace = ESTIMATORS[key].step(rng, state, frame, params)
         traces.append(trace)
     return traces
+
+
+def log_density_by_component(innovations: Innovations) -> tuple[Floats, Floats]:
+    """log N(v_1; 0, V_11) and log N(v_2 | v_1) (K, Z), which sum to log N(v; 0, V); NaN where nothing was matched."""
+    v, V = innovations
+    cross = V[..., 0, 1] / V[..., 0, 0]
+    means, variances = (0.0, cross * v[..., 0]), (V[..., 0, 0], V[..., 1, 1] - cross * V[..., 0, 1])
+    first, second = (
+        -0.5 * (LOG_TWO_PI + np.log(variance) + (v[..., a] - mean) ** 2 / variance)
+        for a, (mean, variance) in enumerate(zip(means, variances, strict=True))
+    )
+    return first, second
 
 
 def made(log_p: Floats, prior: Floats, n: Ints, innovations: Innovations) -> Trace:
@@ -70,15 +83,16 @@ def test_temper_takes_from_the_deviation_and_leaves_the_shares() -> None:
     np.testing.assert_allclose([a.first, a.second, *a.observations], [b.first, b.second, *b.observations])
 
 
-def test_components_sum_to_the_density() -> None:
-    for trace in traces_of("dfs"):
+def test_components_sum_to_the_density_and_have_their_shares() -> None:
+    for trace in traces_of("dfs")[1:]:
         first, second = log_density_by_component(trace.innovations)
-        matched = trace.n >= 0
+        matched, w = trace.n >= 0, np.exp(trace.predicted.log_w)
         np.testing.assert_allclose((first + second)[matched], trace.log_likelihood[matched], rtol=1e-9)
-        assert np.isnan(first[~matched]).all()
-        v, V = trace.innovations.v[matched], trace.innovations.V[matched]
-        by_inverse = [x @ np.linalg.solve(C, x) for x, C in zip(v, V, strict=True)]
-        np.testing.assert_allclose(normalised_innovation(trace.innovations)[matched], by_inverse, rtol=1e-9)
+        found, L = weight_variance(trace), trace.log_likelihood.sum(axis=1)
+        if found.deviation > 1e-6:
+            parts = [np.where(matched, part, 0.0).sum(axis=1) for part in (first, second)]
+            shares = [w @ ((part - w @ part) * (L - w @ L)) / found.deviation**2 for part in parts]
+            assert (found.first, found.second) == pytest.approx(tuple(shares), abs=1e-9)
 
 
 def test_one_observation_decides_and_one_speaks_against_it() -> None:
@@ -169,10 +183,28 @@ def test_nothing_to_tell() -> None:
     new = np.full((2, 1), NEW)
     same = made(np.full((2, 1), -3.3), np.full(2, 0.5), new, unweighed(new).innovations)
     assert weight_variance(same).deviation == 0.0
-    assert math.isnan(mean_nis(same))
+    assert math.isnan(innovation_statistics(same).first)
+    assert innovation_statistics(same).matched == 0.0
 
 
-def test_the_mean_nis_of_a_consistent_filter_is_two() -> None:
+def test_innovations_of_a_consistent_filter_are_as_expected() -> None:
     """EKF-SLAM in the plain world, 60 runs."""
-    found = [mean_nis(t) for seed in range(60) for t in traces_of("ekf", seed=seed)]
-    assert np.nanmean(found) == pytest.approx(2.0, abs=0.3)
+    found = [innovation_statistics(t) for seed in range(60) for t in traces_of("ekf", seed=seed)]
+    assert np.nanmean([f.first for f in found]) == pytest.approx(1.0, abs=0.15)
+    assert np.nanmean([f.second for f in found]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_innovations_of_particles_together_by_hand() -> None:
+    """Two observations; the first is matched by three particles, the second by one."""
+    rng = np.random.default_rng(5)
+    v, w = rng.normal(size=(3, 2, 2)), np.array([0.2, 0.3, 0.5])
+    V = np.tile([[2.0, 0.5], [0.5, 1.0]], (3, 2, 1, 1)) * np.array([1.0, 2.0, 3.0])[:, None, None, None]
+    n = np.array([[0, NEW], [0, IGNORED], [0, 1]])
+    found = innovation_statistics(made(np.zeros((3, 2)), w, n, Innovations(v, V)))
+    C = np.einsum("k,kab->ab", w, V[:, 0]) + np.cov(v[:, 0].T, aweights=w, ddof=0)
+    means, covariances = [w @ v[:, 0], v[2, 1]], [C, V[2, 1]]
+    nis = [m @ np.linalg.solve(c, m) for m, c in zip(means, covariances, strict=True)]
+    assert found.matched == pytest.approx(1.5)
+    assert found.first + found.second == pytest.approx((nis[0] + 0.5 * nis[1]) / 1.5)
+    first = [m[0] ** 2 / c[0, 0] for m, c in zip(means, covariances, strict=True)]
+    assert found.first == pytest.approx((first[0] + 0.5 * first[1]) / 1.5)

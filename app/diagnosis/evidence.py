@@ -1,0 +1,181 @@
+"""What a step of a filter leaves as evidence: the numbers that a diagnosis is made of.
+
+Everything a diagnosis says comes from these, so that it says the same of a session that runs and of its recording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.metrics import Measures
+from slam.phases import noise_of_known, observation_noise
+from slam.types import NEW, Floats, Frame, Ints, Params, Trace
+from slam.weights import innovation_statistics, innovation_widths, weight_variance
+
+
+class Numbers(NamedTuple):
+    """Of one step of one filter.  All are floats, and NaN where there is nothing to tell."""
+
+    particles: float
+    """K, as weighted."""
+    n_eff: float
+    """(44), of the new weights."""
+    n_eff_before: float
+    """The same of the weights that the step began with: K after a resampling."""
+    heaviest: float
+    """Weight of the heaviest particle, 0 to 1."""
+    resampled: float
+    """1 if it resampled, else 0."""
+    threshold: float
+    """`Params.resample_below`."""
+    survivors: float
+    """How many particles of before have a descendant after the step."""
+    related: float
+    """Of all pairs of particles after the step, the share that has one parent: sum N (N - 1) / (K (K - 1))."""
+    diversity: float
+    """Share of the founders that are left."""
+    common_ancestor: float
+    """[steps] back to the most recent common ancestor; NaN while there is none."""
+    observed: float
+    """Z."""
+    matched: float
+    """Observations that were matched with something known: a particle's, on the average."""
+    new: float
+    """Observations that were new: a particle's, on the average."""
+    deviation: float
+    """Of the log weights that this step added, over the particles (`slam.weights`)."""
+    first: float
+    """Share of the first components (range, lateral offset) in their variance."""
+    second: float
+    """Share of the second (bearing, angle), given the first."""
+    unmatched: float
+    """Share of what was not matched."""
+    drawn: float
+    """Share of the draw of the pose."""
+    inside: float
+    """Share of the particles that the likelihood reaches."""
+    wide_first: float
+    """Deviation of the innovations between particles over that which each expects: first components."""
+    wide_second: float
+    nis_first: float
+    """Squared innovation of the particles together over its expectation: 1 is consistent."""
+    nis_second: float
+    spread_m: float
+    """[m] deviation of the position, of the particles together, root of the mean of x and y."""
+    spread_rad: float
+    """[rad] of the heading."""
+    own_m: float
+    """[m] the same of a single particle's own Gaussian, on the average; 0 where poses are drawn."""
+    own_rad: float
+    position_error_m: float
+    heading_error_rad: float
+    nees_position: float
+    nees_pose: float
+    map_error_m: float
+    features: float
+    duplicates: float
+    correct: float
+    """Observations that the best particle paired rightly; and wrongly, and not at all although it knows them."""
+    wrong: float
+    missed: float
+
+
+class Observations(NamedTuple):
+    """Of the observations of one step."""
+
+    shares: Floats
+    """(Z,) of the variance of the log weights."""
+    features: Ints
+    """(Z,) what the best particle has paired them with: index in its map, or NEW or IGNORED."""
+    widths: Floats
+    """(Z,) expected deviation over that of the sensor (`slam.weights.innovation_widths`)."""
+
+
+class Evidence(NamedTuple):
+    """One step of one filter."""
+
+    numbers: Numbers
+    observations: Observations
+
+
+@dataclass(frozen=True)
+class Record:
+    """The evidence of one filter over a run, or over a part of it."""
+
+    steps: Ints
+    """(T,) increasing; of a filter that was switched on and off, not all."""
+    numbers: dict[str, Floats]
+    """(T,) by the names of `Numbers`."""
+    observations: list[Observations]
+    """T of them; none in a recording that has no evidence."""
+    missing: frozenset[str] = frozenset()
+    """The names that whoever made it did not know; they are NaN."""
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.numbers[name]
+
+
+def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: list[Observations]) -> Record:
+    """From rows (T, n) of numbers that are called so; those that another version had besides are left out."""
+    columns = dict(zip(names, rows.T, strict=True))
+    nothing = np.full(len(steps), math.nan)
+    numbers = {name: columns.get(name, nothing) for name in Numbers._fields}
+    return Record(steps, numbers, observations, frozenset(Numbers._fields) - frozenset(names))
+
+
+def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) -> Evidence:
+    """The numbers of one step."""
+    weighted, best = trace.weighted, measures.best
+    why, innovations = weight_variance(trace), innovation_statistics(trace)
+    children = np.bincount(trace.ancestors).astype(float)
+    K, after = len(weighted.log_w), len(trace.ancestors)
+    prior, w = np.exp(trace.predicted.log_w), np.exp(weighted.log_w)
+    spread, own = (np.diagonal(C) for C in (measures.covariance, np.einsum("k,kab->ab", w, weighted.P)))
+    R = noise_of_known(frame, observation_noise(frame, params), params)
+    return Evidence(
+        Numbers(
+            particles=float(K),
+            n_eff=trace.n_eff,
+            n_eff_before=1.0 / float(prior @ prior),
+            heaviest=float(w[best]),
+            resampled=float(trace.did_resample),
+            threshold=params.resample_below,
+            survivors=float(np.count_nonzero(children)),
+            related=float(children @ (children - 1.0)) / (after * (after - 1.0)) if after > 1 else math.nan,
+            diversity=measures.diversity,
+            common_ancestor=measures.common_ancestor_age,
+            observed=float(trace.n.shape[1]),
+            matched=innovations.matched,
+            new=float(prior @ (trace.n == NEW).sum(axis=1)),
+            deviation=why.deviation,
+            first=why.first,
+            second=why.second,
+            unmatched=why.unmatched,
+            drawn=why.drawn,
+            inside=why.inside,
+            wide_first=why.wide[0],
+            wide_second=why.wide[1],
+            nis_first=innovations.first,
+            nis_second=innovations.second,
+            spread_m=math.sqrt(0.5 * (spread[0] + spread[1])),
+            spread_rad=math.sqrt(spread[2]),
+            own_m=math.sqrt(0.5 * (own[0] + own[1])),
+            own_rad=math.sqrt(own[2]),
+            position_error_m=measures.position_error_m,
+            heading_error_rad=measures.heading_error_rad,
+            nees_position=measures.nees_position,
+            nees_pose=measures.nees_pose,
+            map_error_m=measures.map_error_m,
+            features=float(measures.features),
+            duplicates=float(measures.duplicates),
+            correct=float(measures.correct),
+            wrong=float(measures.wrong),
+            missed=float(measures.missed),
+        ),
+        Observations(why.observations, trace.n[best].copy(), innovation_widths(trace, R.sensor + R.model)),
+    )
