@@ -253,10 +253,12 @@ def _eye(centre: Floats | tuple[float, float], distance: float) -> rrb.EyeContro
 
 GROUPS = {
     "Consistency": ("n_eff", "diversity", "nees_log10"),
+    "Weights": ("weight_deviation", "first_share", "inside", "proposal_width"),
+    "Innovations": ("nis_first", "nis_second"),
     "Errors": ("position_error", "heading_error", "map_error"),
     "Map and cost": ("features", "duplicates", "update_ms"),
 }
-AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
+AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02), "inside": (0.0, 1.02), "first_share": (-0.1, 1.1)}
 
 
 def _plots(branches: Sequence[Shown], beside: Callable[..., rrb.Container] = rrb.Vertical) -> rrb.Container:
