@@ -45,7 +45,7 @@ def _particles(case: Case, overconfident: bool) -> Finding:
         text = f"{left:g} founders are left, and {ENOUGH} are enough to tell a spread from"
         if overconfident:
             text += ": more particles will not help, since it is not for want of hypotheses that it is overconfident"
-            return Finding("advice", "more particles in vain", f"{text}.", (), numbers, warns=True)
+            return Finding("advice", "not for want of particles", f"{text}.", (), numbers, warns=True)
         return Finding("advice", "enough particles", f"{text}: no more particles are needed.", (), numbers)
     in_bottlenecks = record["related"][record["related"] > BOTTLENECK].sum() > 0.5 * found.tau
     if in_bottlenecks or wanted > PRACTICAL:
@@ -55,11 +55,10 @@ def _particles(case: Case, overconfident: bool) -> Finding:
     kind = "more particles"
     if found.expected() > INHERITED * left:
         kind = "more particles at least"
+        rounded = max(rounded, math.ceil(LUCK * ENOUGH * K / left / 10.0) * 10)
         text = f"More particles help less than in proportion: {left:g} {are(left)} left where {found.expected():.2g}"
-        text += (
-            " are expected of as many copies, so that weights depend on what particles have inherited. Not less than"
-        )
-        text += f" {rounded} are needed for {ENOUGH} founders"
+        text += " are expected of as many copies, so that weights depend on what particles have inherited."
+        text += f" {rounded} or more are needed for {ENOUGH} founders"
     elif rounded <= K:
         text = f"{several(left, 'founder')} {are(left)} left by bad luck: with {K:g} particles"
         text += f" {found.expected():.2g} were to be expected"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from app.study.association import AssociationStudy
 from app.study.corridor_spread import CorridorSpread
+from app.study.diagnosis import DiagnosisStudy
 from app.study.extraction import ExtractionStudy
 from app.study.laser_log import LaserLog
 from app.study.log_error import LogError
@@ -25,4 +26,5 @@ STUDIES: dict[str, type] = {
     "rotation-spread": RotationSpread,
     "orthogonality": OrthogonalityStudy,
     "extraction": ExtractionStudy,
+    "diagnosis": DiagnosisStudy,
 }
