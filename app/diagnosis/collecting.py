@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +19,7 @@ class Collector:
 
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[int, Evidence]]] = {}
-        self._params: Mapping[str, Any] = {}
+        self._params = Params()
         self._walls = False
 
     def begin(self, info: SessionInfo) -> None:
@@ -30,12 +28,13 @@ class Collector:
 
     def start(self, params: Params, walls: bool, before: Collector | None = None, until: int = 0) -> None:
         """The same, of a branch of what another one has collected, up to a step."""
-        self._params, self._walls = dataclasses.asdict(params), walls
+        self._params, self._walls = params, walls
         rows = {} if before is None else before._rows
         self._rows = {key: [row for row in found if row[0] <= until] for key, found in rows.items()}
 
     def step(self, step: SessionStep) -> None:
         """A step, or once more one that is there."""
+        self._params = step.params
         for key, update in step.filters.items():
             rows = self._rows.setdefault(key, [])
             if not rows or rows[-1][0] < step.index:
@@ -54,4 +53,4 @@ class Collector:
         numbers = np.array([evidence.numbers for _, evidence in rows], float)
         seen = [evidence.observations for _, evidence in rows]
         record = record_of(steps, Numbers._fields, numbers, seen)
-        return Case(key, ESTIMATORS[key].title, self._walls, self._params, record)
+        return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(self._params), record)

@@ -30,7 +30,7 @@ class Case(NamedTuple):
     walls: bool
     """Whether the features are walls, or else landmarks."""
     params: Mapping[str, Any]
-    """`slam.types.Params` by name, as the run began."""
+    """`slam.types.Params` by name: of a recording as the run began, of a session as they are."""
     record: Record
 
 

@@ -38,7 +38,7 @@ def markdown(diagnoses: Sequence[Diagnosis]) -> str:
     """For the panel: a heading for each filter, and a list for each topic."""
     parts = []
     for found in diagnoses:
-        parts.append(f"### {found.case.title}")
+        parts.append(f"#### {found.case.title}")
         for topic, title in TOPICS.items():
             lines = [_bullet(finding) for finding in found.findings if finding.topic == topic]
             if lines:
