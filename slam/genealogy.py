@@ -305,7 +305,8 @@ class Genealogy:
         _place(parent, when / max(self._steps, 1), leaf, alive, height, np.zeros((5, len(parent))))
 
         order, starts = _chains(parent, edges, alive)
-        points = np.stack([when[order], height[order]], axis=1)
+        points = np.empty((len(order), 2))
+        points[:, 0], points[:, 1] = when[order], height[order]
         keep = np.ones(len(order), np.bool_)
         keep[1:-1] = (points[1:-1, 1] != points[:-2, 1]) | (points[1:-1, 1] != points[2:, 1])
         keep[starts[:-1]] = keep[starts[1:] - 1] = True

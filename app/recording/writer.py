@@ -11,9 +11,10 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
-from app import colours
+from app import ancestry, colours
 from app.events import Watch
 from app.pace import Pace
 from app.recording import charts, landmarks, scene, texts, walls
@@ -142,6 +143,8 @@ class Writer:
         self._crowd = scene.crowding(landmarks_there)
         self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
         self._branches: dict[str, Writer] = {}
+        self._descended: dict[str, int] = {}
+        """By filter the last step of which the ancestors are written."""
         self._on = {f.key for f in info.filters}
         self._arrange()
         title = self._shown.named(f"{info.source.name}, seed {info.seed}")
@@ -198,6 +201,7 @@ class Writer:
         for key, update in step.filters.items():
             for metric in METRICS:
                 self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
+            self._write_ancestors(key, update, step, stage + 2)
         self._write_guides(step)
         for event in self._watch.step(step):
             line = rr.TextLog(
@@ -236,6 +240,7 @@ class Writer:
                 self._write_particles(key, update.trace.resampled, best_descendant(update))
 
         self._stream.set_time(stage + 2, *now)
+        self._write_descent(step)
         for key, update in step.filters.items():
             self._write_memory(key, update, step.index, everything, past=moments)
         if self._has_time_for_the_log(step, detail):
@@ -300,8 +305,11 @@ class Writer:
                 line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
             if f.key in self._many:
-                log(f"genealogy/frame/{f.key}", *charts.ancestry_frame(self._bands[f.key], f.title, rgb))
+                log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
+                log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
         log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
+        log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
+        log("genealogy/cursor", charts.look_of_cursor())
 
     def _notice(self, keys: Collection[str]) -> None:
         """Filters that were switched on or off: the windows keep a place for what was there once."""
@@ -422,6 +430,44 @@ class Writer:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
             log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
+            copies, holders = weighted.maps.hypotheses()
+            numbers = rr.AnyValues(copies=pa.array(copies, pa.int32()), maps=pa.array(holders, pa.int32()))
+            log(f"hypotheses/{key}", charts.hypothesis_bars(copies, style.rgb), numbers)
+            of_best = copies[weighted.maps.indices(int(update.measures.best))]
+            log(f"world/{key}/map", rr.AnyValues(hypotheses=pa.array(of_best, pa.int32())))  # shown where the mouse is
+
+    def _write_descent(self, step: SessionStep) -> None:
+        """What of the ancestry is cheap enough for every picture: how many are left, by lag and in words."""
+        titles = {f.key: f.title for f in self._shown.filters}
+        for key, update in step.filters.items():
+            if key in self._many:
+                genealogy = update.genealogy
+                lags = ancestry.lags(genealogy.steps)
+                left = genealogy.distinct(lags)
+                curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
+                numbers = rr.AnyValues(steps_back=pa.array(lags, pa.int32()), ancestors=pa.array(left, pa.int32()))
+                self._stream.log(f"genealogy/{key}/lags", curve, numbers)
+                said = charts.ancestry_words(
+                    self._bands[key], titles[key], ancestry.words(update), colours.of_filter(key)
+                )
+                self._stream.log(f"genealogy/{key}/words", said)
+        first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
+        self._stream.log("genealogy/cursor", charts.cursor(step.index, first, last))
+
+    def _write_ancestors(self, key: str, update: FilterUpdate, step: SessionStep, stage: int) -> None:
+        """Of which particle before a step each one after it is a copy, wherever it is not simply the same.
+
+        Also of steps that a recording does not have otherwise: it may have begun late, and a viewer's loses some.
+        """
+        done = self._descended.get(key, 0)
+        self._descended[key] = step.index
+        found = (update.trace.ancestors,) if done == step.index - 1 else update.genealogy.ancestors[done:]
+        for index, ancestors in enumerate(found, done + 1):
+            if index == 1 or not np.array_equal(ancestors, np.arange(len(ancestors))):
+                if index < step.index:
+                    self._stream.set_time(3 * index, index)
+                self._stream.log(f"ancestors/{key}", rr.AnyValues(ancestors=pa.array(ancestors, pa.uint32())))
+        self._stream.set_time(stage, *self._now(step))
 
     def _has_time_for_the_log(self, step: SessionStep, detail: Detail) -> bool:
         """Whether it is the turn of what all scans tell: with all other pictures of the past, but for viewers, who get
