@@ -80,7 +80,7 @@ def lags(steps: int) -> Ints:
     """(n,) steps back, from 0 to the beginning of a run of so many: every one at first, then ever fewer."""
     decades = np.log10(max(steps, 1))
     spread = np.logspace(0.0, decades, max(2, round(A_DECADE * decades)))
-    return np.unique(np.concatenate([[0], np.rint(spread).astype(np.int64), [steps]]))
+    return np.unique(np.minimum([0, *np.rint(spread).astype(np.int64), steps], steps))
 
 
 def words(update: FilterUpdate) -> str:

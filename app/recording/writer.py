@@ -467,7 +467,8 @@ class Writer:
                 if index < step.index:
                     self._stream.set_time(3 * index, index)
                 self._stream.log(f"ancestors/{key}", rr.AnyValues(ancestors=pa.array(ancestors, pa.uint32())))
-        self._stream.set_time(stage, *self._now(step))
+                if index < step.index:
+                    self._stream.set_time(stage, *self._now(step))
 
     def _has_time_for_the_log(self, step: SessionStep, detail: Detail) -> bool:
         """Whether it is the turn of what all scans tell: with all other pictures of the past, but for viewers, who get
