@@ -13,7 +13,7 @@ from app import colours
 from app.recording import arrow
 from app.recording.limits import Limits, sample
 from slam.genealogy import Genealogy
-from slam.types import Floats, Ints, Particles
+from slam.types import Ints, Particles
 
 WIDTH, HEIGHT, HEADER = 140.0, 100.0, 11.0
 """Of the trees, of all of them together with what is written above each, and of that."""
@@ -25,32 +25,44 @@ THINNEST, THICKEST, DEAD = 0.6, 2.2, 0.35
 """[points] radii of lines, by how many of the living descend through them; of those that died out."""
 
 
+SHORTEST = 60
+"""[steps] that the time axis has at least, unless the run is shorter; it doubles whenever it has become too short."""
+
+
 class Band(NamedTuple):
     """Where the picture of one filter is: time to the right, particles below each other."""
 
     top: float
     height: float
-    steps: int
-    """Length of the time axis: the whole run."""
 
-    def place(self, points: Floats) -> Floats:
-        """(m, 2) of (step, height) to (x, y) of the picture."""
-        return np.stack([points[:, 0] * WIDTH / self.steps, self.top + self.height * points[:, 1]], axis=1)
+    @property
+    def bottom(self) -> float:
+        """Where it ends."""
+        return self.top + self.height
 
 
-def bands(count: int, steps: int) -> list[Band]:
-    """The picture divided among so many filters, for a run of so many steps."""
+def bands(count: int) -> list[Band]:
+    """The picture divided among so many filters."""
     height = HEIGHT / count - HEADER
-    return [Band(i * HEIGHT / count + HEADER, height, max(steps, 1)) for i in range(count)]
+    return [Band(i * HEIGHT / count + HEADER, height) for i in range(count)]
 
 
-def ancestry(genealogy: Genealogy, band: Band, rgb: colours.RGB) -> rr.LineStrips2D:
+def time_axis(step: int, total: int) -> int:
+    """[steps] of the time axis at a step of a run of so many: long enough for it, and not many times longer."""
+    axis = SHORTEST
+    while axis < step:
+        axis *= 2
+    return max(min(axis, total), 1)
+
+
+def ancestry(genealogy: Genealogy, band: Band, axis: int, rgb: colours.RGB) -> rr.LineStrips2D:
     """Lines of descent from the beginning until now, the descendants of a founder all in one colour."""
     tree = descent.tree(genealogy, rgb)
     alive = tree.share > 0.0
     radii = np.where(alive, THINNEST + (THICKEST - THINNEST) * np.sqrt(tree.share), DEAD)
+    x, y = tree.points[:, 0] * WIDTH / axis, band.top + band.height * tree.points[:, 1]
     return rr.LineStrips2D.from_fields(
-        strips=arrow.strips(band.place(tree.points), tree.lengths),
+        strips=arrow.strips(np.stack([x, y], axis=1), tree.lengths),
         colors=arrow.colours(tree.tones),
         radii=pa.array(-radii, pa.float32()),  # negative: points on the screen
     )
@@ -67,12 +79,10 @@ def ancestry_words(band: Band, title: str, words: str, rgb: colours.RGB) -> rr.P
     return _labels([[0.5 * WIDTH, band.top - 0.75 * HEADER]], [f"{title}: {words}"], rgb)
 
 
-def cursor(step: int, first: Band, last: Band) -> rr.LineStrips2D:
-    """The present step."""
-    x = step * WIDTH / first.steps
-    return rr.LineStrips2D.from_fields(
-        strips=arrow.strips(np.array([[x, first.top], [x, last.top + last.height]]), [2])
-    )
+def cursor(step: int, axis: int, first: Band, last: Band) -> rr.LineStrips2D:
+    """The present step, on the time axis that the picture has."""
+    x = WIDTH * min(step / axis, 1.0)
+    return rr.LineStrips2D.from_fields(strips=arrow.strips(np.array([[x, first.top], [x, last.bottom]]), [2]))
 
 
 def look_of_cursor() -> rr.LineStrips2D:
@@ -84,7 +94,7 @@ def lag_curve(lags: Ints, left: Ints, steps: int, particles: int) -> rr.LineStri
     """How many distinct ancestors the living had, left (n,), so many steps ago, lags (n,), in a run of so many steps:
     both axes logarithmic."""
     x = CURVES + CURVES_WIDTH * np.log10(1.0 + lags) / np.log10(1.0 + max(steps, 1))
-    share = np.log10(left) / np.log10(max(particles, 2))
+    share = np.minimum(np.log10(left) / np.log10(max(particles, 2)), 1.0)
     y = HEIGHT - (HEIGHT - CURVES_TOP) * share
     return rr.LineStrips2D.from_fields(strips=arrow.strips(np.stack([x, y], axis=1), [len(lags)]))
 
@@ -115,12 +125,12 @@ def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]
     return grid, _labels(places, labels, GREY)
 
 
-def time_marks(last: Band) -> rr.Points2D:
+def time_marks(last: Band, axis: int) -> rr.Points2D:
     """Numbers below the lowest band."""
-    every = next(f * 10**i for i in range(8) for f in (1, 2, 5) if last.steps <= 6 * f * 10**i)
-    marks = range(0, last.steps + 1, every)
-    places = [[m * WIDTH / last.steps, last.top + last.height + 4.0] for m in marks]
-    return _labels(places, [f"step {m}" if m == 0 else f"{m}" for m in marks], GREY)
+    every = next(f * 10**i for i in range(8) for f in (1, 2, 5) if axis <= 6 * f * 10**i)
+    marks = range(0, axis + 1, every)
+    places = [[m * WIDTH / axis, last.bottom + 4.0] for m in marks]
+    return _labels(places, [f"{m}" if m else "step 0" for m in marks], GREY)
 
 
 GREY: colours.RGB = (150, 150, 150)

@@ -143,6 +143,8 @@ class Writer:
         self._crowd = scene.crowding(landmarks_there)
         self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
         self._branches: dict[str, Writer] = {}
+        self._axis = 0
+        """[steps] of the time axis of the ancestry picture; 0 before there is one."""
         self._descended: dict[str, int] = {}
         """By filter the last step of which the ancestors are written."""
         self._on = {f.key for f in info.filters}
@@ -240,9 +242,10 @@ class Writer:
                 self._write_particles(key, update.trace.resampled, best_descendant(update))
 
         self._stream.set_time(stage + 2, *now)
-        self._write_descent(step)
+        picture = moments and (everything or due(step.index, self._info.steps, self._limits.pictures))
+        self._write_descent(step, picture)
         for key, update in step.filters.items():
-            self._write_memory(key, update, step.index, everything, past=moments)
+            self._write_memory(key, update, step.index, everything, picture)
         if self._has_time_for_the_log(step, detail):
             with self._pace.kept():
                 self._write_scans(step)
@@ -290,7 +293,8 @@ class Writer:
         keys = [f.key for f in self._shown.filters]
         self._styles = {k: scene.Style(colours.of_filter(k), rank, self._lift) for rank, k in enumerate(keys)}
         self._many = populations(keys)
-        bands = charts.bands(len(self._many), self._info.steps)
+        bands = charts.bands(len(self._many))
+        self._axis = 0
         self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
 
     def _write_looks(self) -> None:
@@ -307,7 +311,6 @@ class Writer:
             if f.key in self._many:
                 log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
                 log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
-        log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
         log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
         log("genealogy/cursor", charts.look_of_cursor())
 
@@ -415,11 +418,10 @@ class Writer:
         for entity, what in seen.items():
             self._stream.log(f"world/{key}/{entity}", *what)
 
-    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool, past: bool) -> None:
+    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool, picture: bool) -> None:
         """What the filter remembers: maps, paths, ancestry."""
         style, limits, log = self._styles[key], self._limits, self._stream.log
         weighted, steps = update.trace.weighted, self._info.steps
-        picture = past and (everything or due(index, steps, limits.pictures))
         if picture or update.measures.features <= limits.features:
             theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
             for entity, what in self._features.best_map(theta, Sigma, style).items():
@@ -429,15 +431,21 @@ class Writer:
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
-            log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
+            log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], self._axis, style.rgb))
             copies, holders = weighted.maps.hypotheses()
             numbers = rr.AnyValues(copies=pa.array(copies, pa.int32()), maps=pa.array(holders, pa.int32()))
             log(f"hypotheses/{key}", charts.hypothesis_bars(copies, style.rgb), numbers)
             of_best = copies[weighted.maps.indices(int(update.measures.best))]
             log(f"world/{key}/map", rr.AnyValues(hypotheses=pa.array(of_best, pa.int32())))  # shown where the mouse is
 
-    def _write_descent(self, step: SessionStep) -> None:
-        """What of the ancestry is cheap enough for every picture: how many are left, by lag and in words."""
+    def _write_descent(self, step: SessionStep, picture: bool) -> None:
+        """What of the ancestry is cheap enough for every step: how many are left, by lag and in words, and the cursor;
+        with a new picture, a time axis that is long enough until the next one."""
+        first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
+        axis = charts.time_axis(step.index + self._limits.pictures - 1, self._info.steps)
+        if picture and axis != self._axis:
+            self._axis = axis
+            self._stream.log("genealogy/frame/time", charts.time_marks(last, axis))
         titles = {f.key: f.title for f in self._shown.filters}
         for key, update in step.filters.items():
             if key in self._many:
@@ -451,8 +459,8 @@ class Writer:
                     self._bands[key], titles[key], ancestry.words(update), colours.of_filter(key)
                 )
                 self._stream.log(f"genealogy/{key}/words", said)
-        first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
-        self._stream.log("genealogy/cursor", charts.cursor(step.index, first, last))
+        if self._axis:
+            self._stream.log("genealogy/cursor", charts.cursor(step.index, self._axis, first, last))
 
     def _write_ancestors(self, key: str, update: FilterUpdate, step: SessionStep, stage: int) -> None:
         """Of which particle before a step each one after it is a copy, wherever it is not simply the same.
