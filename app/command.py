@@ -26,6 +26,7 @@ from app.run import Run, SessionOptions
 from app.sources import all_world_options, split_world_options
 from app.study import STUDIES
 from app.version import version
+from app.whatif.command import WhatIf
 from app.worlds import Worlds
 from scenarios.registry import WorldEntry, worlds
 from scenarios.types import SourceError
@@ -40,6 +41,7 @@ Examples:
   dualslam run loop --particles 30 --noise.range 0.05 --summary loop.json --trajectory loop/
   dualslam run ../data/MRCLAM_Dataset6 --robot 3 --association known
   dualslam compare a.rrd b.rrd --out comparison      two recordings: what differs, numbers, plots, side by side
+  dualslam whatif a.rrd --from 143 --set particles=500   the same run, with other parameters from a step on
   dualslam study paper-table --runs 20               the paper's comparison, with standard errors
 
 A run with --record FILE.rrd is opened with: rerun FILE.rrd
@@ -60,7 +62,14 @@ class Study:
         return self.study(command)
 
 
-COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "compare": Compare, "worlds": Worlds, "study": Study}
+COMMANDS: dict[str, Any] = {
+    "live": Live,
+    "run": Run,
+    "compare": Compare,
+    "whatif": WhatIf,
+    "worlds": Worlds,
+    "study": Study,
+}
 
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""

@@ -27,7 +27,8 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /plots/n_eff/threshold          where resampling begins
     /genealogy/<filter>             lines of descent over (step, slot)
     /weights/<filter>               sorted weights times K
-    /branch/<name>/...              the same tree for a branch; property `session-<name>`
+    /branch/<name>/...              the same tree for a branch, from its first step on; property `session-<name>`, with
+                                    `parent`, the branch that it left (empty for the run itself)
     /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 
