@@ -87,6 +87,10 @@ class Trunk(NamedTuple):
     """Of its entities; ends in a slash."""
     label: str
     """Its name, for people."""
+    path: str
+    """The name that it has in the recording."""
+    parent: str
+    """That of the branch that it left, empty for the run itself."""
 
 
 class Writer:
@@ -160,9 +164,12 @@ class Writer:
         It shares the stream, so both are written from one thread, and closing the branch closes nothing.
         """
         if self._trunk is not None:
-            return self._trunk.writer.fork(info, name, judge)
+            return self._trunk.writer._branch(info, name, judge, self._trunk.path)
+        return self._branch(info, name, judge, "")
+
+    def _branch(self, info: SessionInfo, name: str, judge: Judge | None, parent: str) -> Writer:
         path = unused(slug(name), self._branches)
-        trunk = Trunk(self, f"branch/{path}/", name)
+        trunk = Trunk(self, f"branch/{path}/", name, path, parent)
         stream = BranchStream(self._stream, path)
         self._branches[path] = Writer(info, lambda *_: stream, self._shown.aspect, trunk, judge)
         self.show()
@@ -275,6 +282,8 @@ class Writer:
     def _write_static(self) -> None:
         info, log = self._info, self._stream.log_static
         described = texts.description(info, self._time_origin)
+        if self._trunk is not None:
+            described["parent"] = self._trunk.parent
         self._stream.property("session", rr.AnyValues(json=json.dumps(described)))
         for entity, page in {
             "about": texts.about(info, self._limits),
