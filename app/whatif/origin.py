@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -45,8 +46,7 @@ class Departure(NamedTuple):
     @property
     def small(self) -> bool:
         """Whether only the last bits differ."""
-        size = max(1.0, abs(self.recorded), abs(self.computed))
-        return abs(self.recorded - self.computed) <= LAST_BITS * size  # false for NaN and infinity
+        return math.isclose(self.computed, self.recorded, rel_tol=LAST_BITS, abs_tol=LAST_BITS)
 
 
 class Recorded:
@@ -149,7 +149,9 @@ class Origin(NamedTuple):
         other = [
             f"{name} {was} (here {here.get(name)})" for name, was in self.versions.items() if here.get(name) != was
         ]
+        begins = self.recorded.span[0]
         return [
+            *([f"something changed before step {begins}, where the recording begins"] if begins > 1 else []),
             *([f"it was made with {', '.join(other)}"] if other else []),
             *([self._changed()] if self.places else []),
             "it was made on another kind of processor",
