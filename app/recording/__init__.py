@@ -32,6 +32,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
                                     log weights, the `features` of the best map, and `widths` of what is expected
     /branch/<name>/...              the same tree for a branch; property `session-<name>`
     /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
+    /lesson                         the text of a lesson; its other runs are branches
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 
 and timelines

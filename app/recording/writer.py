@@ -63,6 +63,9 @@ GUIDE: colours.RGB = (140, 140, 140)
 DUTY = 0.05
 """Share of the time that scans and relations may take where all pictures are written, for viewers."""
 
+LESSON = "lesson"
+"""The page of a lesson."""
+
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
 
@@ -98,9 +101,10 @@ class Writer:
         aspect: float = MAP_ASPECT,
         trunk: Trunk | None = None,
         judge: Judge | None = None,
+        lesson: tuple[str, str] | None = None,
     ) -> None:
         """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`); `judge`
-        knows where paths break relations."""
+        knows where paths break relations; `lesson` is what this run is called in a lesson, and its text, Markdown."""
         self._info = info
         self._judge = judge
         self._last: SessionStep | None = None
@@ -137,6 +141,8 @@ class Writer:
         self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
         if trunk is not None:
             self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
+        if lesson is not None:
+            self._shown = self._shown._replace(label=lesson[0], lesson=LESSON)
         self._trunk = trunk
         landmarks_there = 0 if info.source.true_map is None else len(info.source.true_map.theta)
         self._crowd = scene.crowding(landmarks_there)
@@ -147,6 +153,8 @@ class Writer:
         title = self._shown.named(f"{info.source.name}, seed {info.seed}")
         self._stream = open_stream(layout_of_branches([self._shown]), title)
         self._write_static()
+        if lesson is not None:
+            self.teach(lesson[1])
         self._stream.begun()
 
     def fork(self, info: SessionInfo, name: str, judge: Judge | None = None) -> Writer:
@@ -243,6 +251,10 @@ class Writer:
             with self._pace.kept():
                 self._write_scans(step)
                 self._write_relations(step)
+
+    def teach(self, text: str) -> None:
+        """The page of a lesson, Markdown, in place of what stood there."""
+        self._stream.log_static(LESSON, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def close(self) -> None:
         """Complete the file."""
