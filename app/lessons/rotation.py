@@ -12,7 +12,7 @@ def _claim(n: Numbers) -> Finding:
     one, few, many = (n[name, "dfs", "y -1"] for name in (ONE, FEW, MANY))
     along = n[FEW, "dfs", "x -1"]
     lone, some = n[ONE, "dfs", "nees"], n[FEW, "dfs", "nees"]
-    seen = few >= 0.5 * many and one <= 0.1 * many and few >= 2 * along and lone >= 100 * some
+    seen = few >= 0.5 * many and one <= 0.1 * many and few >= 2 * along and lone >= 20 * some
     return Finding(
         seen,
         f"At the end of the corridor 30 maps say that the robot may be {metres(few)} to the side ({metres(along)} "
