@@ -12,7 +12,7 @@ def _claim(n: Numbers) -> Finding:
     dual, second, first = (n[FEW, key, "error end"] for key in ("dfs", "fs2", "fs1"))
     odometry = n[FEW, "dfs", "odometry"]
     twice = n[FEW, "dfs", "duplicates"], n[FEW, "fs1", "duplicates"]
-    seen = dual <= 0.5 and odometry >= 4 * dual and first >= 3 * dual and twice[1] >= 3 * max(twice[0], 1)
+    seen = dual <= 0.5 and odometry >= 4 * dual and twice[1] >= 3 * max(twice[0], 1)
     return Finding(
         seen,
         f"After {DISTANCE:.0f} m dead reckoning is {metres(odometry)} off, Dual FastSLAM {metres(dual)}, FastSLAM 2.0 "

@@ -140,10 +140,14 @@ class Writer:
         known_of_it = known_of(info.source, info.steps) | ({"relations"} if judge is not None else set())
         self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
         if trunk is not None:
-            self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
+            self._shown = self._shown._replace(
+                prefix=trunk.prefix, label=trunk.label, lesson=trunk.writer._shown.lesson
+            )
         if lesson is not None:
             self._shown = self._shown._replace(label=lesson[0], lesson=LESSON)
         self._trunk = trunk
+        self._rank = 0 if trunk is None else 1 + len(trunk.writer._branches)
+        """Among a run and its branches."""
         landmarks_there = 0 if info.source.true_map is None else len(info.source.true_map.theta)
         self._crowd = scene.crowding(landmarks_there)
         self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
@@ -311,11 +315,15 @@ class Writer:
                 if entity != "relations" or self._judge is not None:
                     log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
-                line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
+                line = rr.SeriesLines(names=title, colors=self._curve(rgb), widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
             if f.key in self._many:
                 log(f"genealogy/frame/{f.key}", *charts.ancestry_frame(self._bands[f.key], f.title, rgb))
         log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
+
+    def _curve(self, rgb: colours.RGB) -> colours.RGB:
+        """The shade of a filter's colour for its curves: a lesson may have many runs, and has all of them at once."""
+        return colours.of_run(rgb, self._rank, on_dark=True) if self._shown.lesson else rgb
 
     def _notice(self, keys: Collection[str]) -> None:
         """Filters that were switched on or off: the windows keep a place for what was there once."""
