@@ -28,6 +28,7 @@ from app.run import Run, SessionOptions
 from app.sources import all_world_options, split_world_options
 from app.study import STUDIES
 from app.version import version
+from app.whatif.command import WhatIf
 from app.worlds import Worlds
 from scenarios.registry import WorldEntry, worlds
 from scenarios.types import SourceError
@@ -44,6 +45,7 @@ Examples:
   dualslam run ../data/MRCLAM_Dataset6 --robot 3 --association known
   dualslam compare a.rrd b.rrd --out comparison      two recordings: what differs, numbers, plots, side by side
   dualslam diagnose a.rrd                            why particles died, and what would have helped
+  dualslam whatif a.rrd --from 143 --set particles=500   the same run, with other parameters from a step on
   dualslam study paper-table --runs 20               the paper's comparison, with standard errors
 
 A run with --record FILE.rrd is opened with: rerun FILE.rrd
@@ -70,6 +72,7 @@ COMMANDS: dict[str, Any] = {
     "run": Run,
     "compare": Compare,
     "diagnose": Diagnose,
+    "whatif": WhatIf,
     "worlds": Worlds,
     "study": Study,
 }

@@ -34,7 +34,7 @@ one.  With twice as many, 5 of 10 runs with other seeds kept `ENOUGH` in the wor
 diagnosis`; how many do now is in app/README.md."""
 
 GREAT_LOSS = 0.1
-"""Share of the founders that were left, above which a loss is worth a sentence."""
+"""Share of the founders that were left, above which the loss of some is worth a sentence."""
 
 
 class Losses(NamedTuple):
@@ -75,9 +75,9 @@ def great_losses(record: Record) -> Ints:
     """Indices of the steps at which most founders went, the greatest loss first."""
     founders = losses(record).founders
     before = np.concatenate([record["particles"][:1], founders[:-1]])
-    lost = np.where(founders < before, 1.0 - founders / before, 0.0)
+    lost = np.maximum(before - founders, 0.0)
     order = np.argsort(-lost, kind="stable")
-    return order[lost[order] >= GREAT_LOSS]
+    return order[lost[order] > GREAT_LOSS * before[order]]
 
 
 def since_resampling(record: Record, index: int) -> slice:

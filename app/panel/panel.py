@@ -52,7 +52,9 @@ UNTIL = {
     "the next depletion": ("depleted",),
     "the next loop closure": ("loop closed",),
     "lost association": ("association lost",),
-    "any of these": ("depleted", "loop closed", "association lost"),
+    "overconfidence": ("overconfident",),
+    "a duplicate in a map": ("duplicate born",),
+    "any of these": ("depleted", "loop closed", "association lost", "overconfident", "duplicate born"),
 }
 
 NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into a rectangle, the right button moves."

@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from app import colours
-from app.recording.charts import HEIGHT, LEFT, WIDTH
+from app.recording.charts import CURVES, CURVES_WIDTH, HEIGHT
 from app.recording.ground import Extent
 from app.recording.metrics import BY_NAME, LOG_NEES_RANGE, Metric, populations
 from app.recording.scene import CLOSE_HEIGHT, nice
@@ -306,9 +306,18 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
         for f in _many(branch)
     ]
     lesson = branches[0].lesson
+    hypotheses = [
+        rrb.BarChartView(
+            name=branch.named(f.title),
+            origin=branch.at(f"hypotheses/{f.key}"),
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
+        for f in _many(branch)
+    ]
     return rrb.Tabs(
         *([rrb.TextDocumentView(name="Lesson", origin=lesson)] if lesson else ()),
         _ancestry(branch),
+        rrb.Horizontal(*hypotheses, name="Hypotheses"),
         rrb.Horizontal(*weights, name="Weights times K"),
         *(_events(one) for one in reversed(branches)),
         *(_relations(one) for one in reversed(branches) if "relations" in one.known),
@@ -330,9 +339,9 @@ def _ancestry(branch: Shown) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         name=branch.named("Ancestry"),
         origin=branch.at("genealogy"),
-        contents=["+ $origin/frame/**", *(f"+ $origin/{f.key}" for f in _many(branch))],
+        contents=["+ $origin/frame/**", "+ $origin/cursor", *(f"+ $origin/{f.key}/**" for f in _many(branch))],
         background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-LEFT, WIDTH + 6.0), y_range=(-6.0, HEIGHT + 9.0)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-6.0, CURVES + CURVES_WIDTH + 6.0), y_range=(-1.0, HEIGHT + 12.0)),
     )
 
 

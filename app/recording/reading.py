@@ -106,6 +106,25 @@ class Recording:
         times, values = (np.array(column) for column in zip(*sorted(rows, key=lambda r: r[0]), strict=True))
         return times * 1e-9 if timeline == "sim_time" else times, values.astype(float)
 
+    def ancestors(self, key: str, branch: str = "") -> list[Ints]:
+        """Of a filter, for every step from the first: of which particle before it each one after it is a copy, (K,).
+
+        `slam.genealogy` has functions of such a list.  Up to the last step of which there is a number.
+        """
+        below = f"/branch/{branch}" if branch else ""
+        found = dict(self.rows(f"{below}/ancestors/{key}", "ancestors", "step"))
+        if 1 not in found:
+            raise RecordingError(f"{self.path} does not say which particles of {key} descend from which")
+        steps, _ = self.series(f"{below}/plots/n_eff/{key}")
+        ancestors, particles = [], 0
+        for step in range(1, int(steps[-1]) + 1):
+            if step in found:
+                ancestors.append(np.array(found[step], np.int64))
+                particles = len(ancestors[-1])
+            else:  # none died, none was copied
+                ancestors.append(np.arange(particles))
+        return ancestors
+
     def events(self, entity: str = "/events") -> list[Event]:
         """All events, in order; those of a branch have another entity."""
         texts = self._rows(entity, "TextLog:text", "step")

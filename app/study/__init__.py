@@ -6,6 +6,7 @@ A study is a frozen dataclass: its fields are its options, its docstring is its 
 from __future__ import annotations
 
 from app.study.association import AssociationStudy
+from app.study.consistency import ConsistencyStudy
 from app.study.corridor_spread import CorridorSpread
 from app.study.diagnosis import DiagnosisStudy
 from app.study.extraction import ExtractionStudy
@@ -27,4 +28,5 @@ STUDIES: dict[str, type] = {
     "orthogonality": OrthogonalityStudy,
     "extraction": ExtractionStudy,
     "diagnosis": DiagnosisStudy,
+    "consistency": ConsistencyStudy,
 }
