@@ -79,13 +79,14 @@ class Teach:
 
     def _live(self, lesson: Lesson) -> int:
         from app.command import parse  # which knows this module
+        from app.live.lessons import name_of
 
         if self.record is not None or self.out is not None:
             raise UsageError("--live has a button that records; expected no --record and no --out beside it")
         words = [*shlex.split(lesson.variants[0].options), "--seed", str(self.seed), "--paused"]
         words += ["--no-browser"] if self.no_browser else []
         workbench, own = parse(["live", *words])
-        return workbench(own, shlex.join(["dualslam", "live", *words]), lesson.name)
+        return workbench(own, shlex.join(["dualslam", "live", *words]), name_of(lesson, lesson.variants[0]))
 
 
 def lesson_named(name: str) -> Lesson:

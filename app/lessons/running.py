@@ -13,9 +13,9 @@ from app.summary import Summary
 from app.types import Observer, SessionInfo
 
 
-def info_of(variant: Variant, seed: int) -> SessionInfo:
-    """The session of a variant, as the command line begins it."""
-    return session_of_command(f"dualslam run {variant.options} --seed {seed}")
+def info_of(variant: Variant, seed: int, command: str = "run") -> SessionInfo:
+    """The session of a variant, as the command line begins it, `run` or `live`."""
+    return session_of_command(f"dualslam {command} {variant.options} --seed {seed}")
 
 
 def run(info: SessionInfo, ran: Ran, observers: Sequence[Observer] = (), interrupts: Interrupts | None = None) -> None:

@@ -55,7 +55,7 @@ def test_it_would_not_be_so_of_other_runs(given, name):
     names = [variant.name for variant in lesson.variants]
     exchanged = [dict(zip(names, [runs[other] for other in reversed(names)], strict=True)) for runs in given(name)]
     assert not lesson.phenomenon(exchanged).seen
-    alike = [dict.fromkeys(names, runs[names[0]]) for runs in given(name)]
+    alike = [dict(zip(names, [runs[names[0]]] * len(names), strict=True)) for runs in given(name)]
     assert not lesson.phenomenon(alike).seen
 
 
