@@ -214,6 +214,10 @@ class Engine:
         """Begin again: with the settings of the desk, or in another world with its own."""
         self._commands.put(lambda: self._reset(seed, source))
 
+    def begin(self, info: SessionInfo) -> None:
+        """Begin another session, with its own filters, parameters and seed."""
+        self._commands.put(lambda: self._reset(None, None, info))
+
     def replace(self, old: Listener, new: Listener) -> None:
         """One listener for another, before a reset and from there: the old one's session is over."""
         self._remove(old)
@@ -442,10 +446,13 @@ class Engine:
         self._stands()
         self.desk.put(self._history.branch.settings(self._history.done + 1))
 
-    def _reset(self, seed: int | None, source: Source | None) -> None:
+    def _reset(self, seed: int | None, source: Source | None, other: SessionInfo | None = None) -> None:
         self._pause()
         self.before_reset(self._history)
         info, settings = self._history.info, self.desk.read()
+        if other is not None:
+            keys = tuple(estimator.key for estimator in other.filters)
+            info, settings = other, first_settings(other.source, keys, other.params, other.noise)
         if source is not None:
             settings = first_settings(source, settings.filters, source.params(), source.noise)
             command = shlex.join(["dualslam", "live", source.name])
