@@ -11,6 +11,7 @@ from app.study.extraction import ExtractionStudy
 from app.study.laser_log import LaserLog
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
+from app.study.mistakes import MistakesStudy
 from app.study.orthogonality import OrthogonalityStudy
 from app.study.paper_table import PaperTable
 from app.study.rotation_spread import RotationSpread
@@ -25,4 +26,5 @@ STUDIES: dict[str, type] = {
     "rotation-spread": RotationSpread,
     "orthogonality": OrthogonalityStudy,
     "extraction": ExtractionStudy,
+    "mistakes": MistakesStudy,
 }
