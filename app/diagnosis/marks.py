@@ -21,6 +21,9 @@ from slam.types import NEW, Floats, Frame, Ints, Params, Particles, Trace
 SAMPLE = 2
 """Particles that are looked at one by one, evenly spread over all."""
 
+NOTICED = 1e-5
+"""[standard deviations] What is more is no rounding."""
+
 MANY = 256
 """Particles among which copies are looked for."""
 
@@ -156,7 +159,7 @@ def _early(trace: Trace, frame: Frame, sample: Ints) -> float:
             error = (v[0] - expected[0]) / math.sqrt(V[0, 0]), wrap(v[1] - expected[1]) / math.sqrt(V[1, 1])
             off.append(max(map(abs, error)))
         looked += 1
-        early += off[0] > ROUNDING**0.5 and off[1] < ROUNDING**0.5
+        early += off[0] > NOTICED and off[1] < ROUNDING
     return early / looked if looked else math.nan
 
 
