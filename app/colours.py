@@ -33,6 +33,19 @@ REJECTED: RGB = (238, 60, 60)
 
 ASSOCIATION: RGB = (255, 255, 255)
 
+FOUNDERS: tuple[RGB, ...] = (
+    (0, 238, 255),
+    (221, 170, 0),
+    (255, 68, 153),
+    (119, 153, 255),
+    (238, 238, 136),
+    (170, 17, 136),
+    (136, 119, 0),
+    (102, 0, 255),
+)
+"""Of lines of descent, on a dark ground, by the number of the founder.  As far apart as eight colours can be for
+everybody, the colour-blind included (Oklab)."""
+
 BACKGROUND: RGB = (13, 16, 17)
 """Of dark views; what fades, fades into this."""
 

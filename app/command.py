@@ -19,6 +19,7 @@ import numpy as np
 import tyro
 
 from app.compare.command import Compare
+from app.diagnosis.command import Diagnose
 from app.errors import UsageError, listed, sentence, suggestion
 from app.live.command import Live
 from app.options import FILTERS
@@ -26,6 +27,7 @@ from app.run import Run, SessionOptions
 from app.sources import all_world_options, split_world_options
 from app.study import STUDIES
 from app.version import version
+from app.whatif.command import WhatIf
 from app.worlds import Worlds
 from scenarios.registry import WorldEntry, worlds
 from scenarios.types import SourceError
@@ -40,6 +42,8 @@ Examples:
   dualslam run loop --particles 30 --noise.range 0.05 --summary loop.json --trajectory loop/
   dualslam run ../data/MRCLAM_Dataset6 --robot 3 --association known
   dualslam compare a.rrd b.rrd --out comparison      two recordings: what differs, numbers, plots, side by side
+  dualslam diagnose a.rrd                            why particles died, and what would have helped
+  dualslam whatif a.rrd --from 143 --set particles=500   the same run, with other parameters from a step on
   dualslam study paper-table --runs 20               the paper's comparison, with standard errors
 
 A run with --record FILE.rrd is opened with: rerun FILE.rrd
@@ -60,7 +64,15 @@ class Study:
         return self.study(command)
 
 
-COMMANDS: dict[str, Any] = {"live": Live, "run": Run, "compare": Compare, "worlds": Worlds, "study": Study}
+COMMANDS: dict[str, Any] = {
+    "live": Live,
+    "run": Run,
+    "compare": Compare,
+    "diagnose": Diagnose,
+    "whatif": WhatIf,
+    "worlds": Worlds,
+    "study": Study,
+}
 
 EXPECTED = (UsageError, SourceError, OSError, MemoryError)
 """What may go wrong without a fault of the program's: told in a sentence."""

@@ -11,6 +11,7 @@ import numpy as np
 from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
 from slam.features import Point, Wall
+from slam.metrics import nees_interval
 from slam.types import Floats, Frame, Trace
 from slam.weights import weight_variance
 
@@ -25,6 +26,9 @@ BLIND = 30.0
 
 BLIND_STEPS = 5
 """As many steps must have been empty: where one looks but once in half a minute, one of them says little."""
+
+LASTING = 10
+"""[steps] that the NEES must have been above its 95 % band before that is told."""
 
 LOOP = 40.0
 """[m] of travel since a feature was last matched, after which matching it again closes a loop: rightly, where anybody
@@ -59,6 +63,10 @@ class Watch:
         self._travelled = 0.0
         self._odometry: Floats | None = None
         self._loops = {key: Loops() for key in titles}
+        self._above: dict[str, int] = {}
+        """Steps in a row for which the NEES of a filter has been above its band."""
+        self._duplicates: dict[str, float] = {}
+        """The most that a filter has had."""
 
     def step(self, step: SessionStep) -> list[Event]:
         """The events of this step, in the order of cause and effect."""
@@ -113,6 +121,11 @@ class Watch:
         if self._begins(key, "singular", measures.nees_position == math.inf, step.index):
             text = "has an infinite NEES: its particles agree on one position, and the truth is another"
             yield "singular", "WARN", text
+        yield from self._consistency(key, update, step.index)
+        if measures.duplicates > self._duplicates.get(key, 0.0):
+            if self._begins(key, "duplicate born", True, step.index):
+                yield "duplicate born", "WARN", _duplicate_born(measures.duplicates, measures.features)
+            self._duplicates[key] = measures.duplicates
         if K == 1:
             return
         if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
@@ -122,6 +135,13 @@ class Watch:
         if self._begins(key, "one founder", len(np.unique(trace.resampled.lineage)) == 1, step.index):
             text = f"has one founder left: all {K} particles share one past, up to {_age(update)}"
             yield "one founder", "WARN", text
+
+    def _consistency(self, key: str, update: FilterUpdate, index: int) -> Iterator[tuple[str, str, str]]:
+        """That a filter has been overconfident for some time."""
+        measures = update.measures
+        self._above[key] = self._above.get(key, 0) + 1 if measures.nees_position > nees_interval(2)[1] else 0
+        if self._begins(key, "overconfident", self._above[key] >= LASTING, index):
+            yield "overconfident", "WARN", _overconfident(update)
 
     def _begins(self, key: str, what: str, present: bool, index: int) -> bool:
         """Whether something is there that was not there in the last steps."""
@@ -139,6 +159,20 @@ def _association_lost(correct: int, wrong: int, missed: int) -> str:
     if missed:
         parts.append(f"{missed} not recognised")
     return f"lost association: of {correct + wrong + missed} things seen that its best map knows, {' and '.join(parts)}"
+
+
+def _overconfident(update: FilterUpdate) -> str:
+    measures, numbers = update.measures, update.evidence.numbers
+    nees = "infinite" if math.isinf(measures.nees_position) else f"{measures.nees_position:.3g}"
+    return (
+        f"is overconfident: its NEES has been above the 95 % band for {LASTING} steps and is {nees} now; it is "
+        f"{measures.position_error_m:.2g} m off, where it believes in a deviation of {numbers.spread_m:.2g} m"
+    )
+
+
+def _duplicate_born(duplicates: float, features: int) -> str:
+    what = "a feature shows" if duplicates == 1.0 else f"{duplicates:.0f} features show"
+    return f"has mapped something twice: of the {features} in its best map {what} what another one shows already"
 
 
 def _loop_closed(gaps: Distances) -> str:

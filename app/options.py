@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -203,14 +204,8 @@ def parameters(
 ) -> tuple[Noise, Params]:
     """What the world is, and the filters' parameters: the source's own, then the preset's, then what was given."""
     world = _typed(noise)
-    if source.kind == "log" and world:
-        name = next(iter(world))
-        raise UsageError(
-            f"--noise.{name} does not apply to {source.name}: a log has its noise already; "
-            f"--believed.{name} is what the filters believe of it"
-        )
-    _check_applies("--noise", world, source)
-    _check_applies("--believed", _typed(believed), source)
+    check_noise(world, source)
+    check_belief(_typed(believed), source)
     belief = dataclasses.replace(source.params().believed, **world)
     belief = dataclasses.replace(belief, **_typed(believed))
     for name in ("range", "bearing") if isinstance(source.feature, Point) else ("range",):
@@ -225,17 +220,44 @@ def parameters(
     for flag in ("merge_walls", "orthogonal"):
         if not given[flag]:  # a flag that is not there says nothing
             given.pop(flag)
+    check_walls(given, source)
+    params = source.params(**{**preset, **given, "believed": belief})
+    if params.association == "known":
+        check_known(source)
+    return dataclasses.replace(source.noise, **world), params
+
+
+def check_noise(given: Mapping[str, Any], source: Source) -> None:
+    """Raise `UsageError` for what the world cannot be."""
+    if source.kind == "log" and given:
+        name = next(iter(given))
+        raise UsageError(
+            f"--noise.{name} does not apply to {source.name}: a log has its noise already; "
+            f"--believed.{name} is what the filters believe of it"
+        )
+    _check_applies("--noise", given, source)
+
+
+def check_belief(given: Mapping[str, Any], source: Source) -> None:
+    """Raise `UsageError` for what there is not to believe in."""
+    _check_applies("--believed", given, source)
+
+
+def check_walls(given: Mapping[str, Any], source: Source) -> None:
+    """Raise `UsageError` for a parameter of walls where landmarks are seen."""
     idle = next((name for name in OF_WALLS if name in given), None)
     if idle is not None and isinstance(source.feature, Point):
         raise UsageError(
             f"--{idle.replace('_', '-')} does not apply to {source.name}: it is for walls, and landmarks are seen there"
         )
-    params = source.params(**{**preset, **given, "believed": belief})
-    if params.association == "known" and not any(_told(step.frame) for step in source.steps):
+
+
+def check_known(source: Source) -> None:
+    """Raise `UsageError` if association cannot be known."""
+    if not any(_told(step.frame) for step in source.steps):
         raise UsageError(
             f"--association is known, but nobody knows what was seen in {source.name}; expected nearest or jcbb"
         )
-    return dataclasses.replace(source.noise, **world), params
 
 
 def _told(frame: Frame) -> bool:
@@ -245,7 +267,7 @@ def _told(frame: Frame) -> bool:
     return bool((frame.tags != UNKNOWN_TAG).any())
 
 
-def _check_applies(option: str, given: dict[str, float], source: Source) -> None:
+def _check_applies(option: str, given: Mapping[str, Any], source: Source) -> None:
     """Raise `UsageError` for a deviation that nothing in the source has: it would change nothing, silently."""
     of_motion = ("odometry",) if isinstance(source.motion, Odometry) else ("speed", "turn")
     of_sensor = ("range", "bearing") if isinstance(source.feature, Point) else ("range", "missing")
@@ -259,9 +281,9 @@ def _check_applies(option: str, given: dict[str, float], source: Source) -> None
 
 def _typed(options: FilterOptions | WorldNoise | BelievedNoise) -> dict[str, Any]:
     """What was given, in SI units and radians."""
-    degrees = ("turn", "bearing", "floor_angle")
-    return {
-        name: math.radians(value) if name in degrees else value
-        for name, value in vars(options).items()
-        if value is not None
-    }
+    return {name: in_radians(name, value) for name, value in vars(options).items() if value is not None}
+
+
+def in_radians(name: str, value: Any) -> Any:
+    """The value of an option as it is used: angles are typed in degrees."""
+    return math.radians(value) if name in ("turn", "bearing", "floor_angle") else value

@@ -110,7 +110,7 @@ class Run(SessionOptions):
                 "--merge-walls does not apply to EKF-SLAM, whose one map has all correlations; expected dfs, fs2 or "
                 "fs1 in --filters"
             )
-        _check(self.output, self.source)
+        check_outputs(self.output, self.source)
         return self._show(self.info(own, command))
 
     def _replay(self, own: dict[str, str]) -> int:
@@ -122,7 +122,7 @@ class Run(SessionOptions):
                 "--branch, --align, --relations, --record, --summary and --trajectory"
             )
         assert self.replay is not None
-        _check(self.output, str(self.replay))
+        check_outputs(self.output, str(self.replay))
         from app.live.script import Check, read_replay
 
         replay = read_replay(self.replay, self.branch)
@@ -207,6 +207,12 @@ def check_mistake(name: str, filters: Sequence[str]) -> None:
 
 def session_of_command(command: str) -> SessionInfo:
     """The session that a command line begins, `dualslam live ...` or `dualslam run ...`."""
+    options, own = options_of_command(command)
+    return options.info(own, command)
+
+
+def options_of_command(command: str) -> tuple[SessionOptions, dict[str, str]]:
+    """What such a command line asks for, and the options that the world has of its own, as typed."""
     from app.command import parse  # which knows this module
 
     try:
@@ -218,7 +224,7 @@ def session_of_command(command: str) -> SessionInfo:
     options, own = parse(words)
     if not isinstance(options, SessionOptions) or not options.source:
         raise UsageError(f"the session was begun by {command!r}; expected a world or a log in it")
-    return options.info(own, command)
+    return options, own
 
 
 class Output:
@@ -267,7 +273,7 @@ def _report(info: SessionInfo, summary: Summary, outputs: Sequence[Output], out:
             out.print(f"{output.what}: {output.path}{how}", soft_wrap=True, markup=False)
 
 
-def _check(output: Outputs, source: str) -> None:
+def check_outputs(output: Outputs, source: str) -> None:
     """That everything can be written, before any work is done."""
     files = {"--record": output.record, "--summary": output.summary}
     paths = {option: path for option, path in files.items() if path is not None}

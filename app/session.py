@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -32,7 +32,11 @@ from slam.perception.matching import Track
 from slam.perception.odometry import correct_odometry
 from slam.types import Estimator, Floats, Frame, Noise, Params, Particles
 
+Made = TypeVar("Made")
+
 WORLD = "world"
+LETTERS = 256
+"""Bytes that a name may consist of: what is larger is no part of it."""
 
 
 class State(NamedTuple):
@@ -50,9 +54,13 @@ class State(NamedTuple):
     """What each filter needs for its next step."""
 
 
-def stream(seed: int, who: str, step: int) -> np.random.Generator:
-    """The random numbers of one of the players in one step."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(step, *who.encode())))
+def stream(seed: int, who: str, step: int, draw: int = 0) -> np.random.Generator:
+    """The random numbers of one of the players in one step.
+
+    `draw` numbers the streams that it might have had instead; 0 is the one of the session.
+    """
+    again = (LETTERS + draw,) if draw else ()
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(step, *who.encode(), *again)))
 
 
 def start(info: SessionInfo) -> State:
@@ -67,8 +75,12 @@ def start(info: SessionInfo) -> State:
     return State(0, pose, pose, None, states)
 
 
-def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, SessionStep]:
-    """One observing step, all filters."""
+def advance(info: SessionInfo, state: State, params: Params, draw: int = 0) -> tuple[State, SessionStep]:
+    """One observing step, all filters.
+
+    With another `draw` than 0 the filters draw from other streams, and the world from the same: what could have
+    happened as well, to the same data.
+    """
     index = state.done + 1
     exact, truth = info.source.steps[state.done]
     noisy = info.source.kind == "world"  # a log has its noise already
@@ -83,7 +95,7 @@ def advance(info: SessionInfo, state: State, params: Params) -> tuple[State, Ses
     updates: dict[str, FilterUpdate] = {}
     for estimator in info.filters:
         before, genealogy = state.filters[estimator.key]
-        rng = stream(info.seed, estimator.key, index)
+        rng = stream(info.seed, estimator.key, index, draw)
         with CompileClock() as compiling:
             began = perf_counter()
             after, trace = estimator.step(rng, before, frame, params)
@@ -179,7 +191,7 @@ def run(
             with shield():
                 begun.append(observer)
                 observer.begin(info)
-        for step in _interruptible(steps(info, changes), interrupts or Interrupts()):
+        for step in interruptible(steps(info, changes), interrupts or Interrupts()):
             with shield():
                 for observer in observers:
                     observer.step(step)
@@ -195,8 +207,9 @@ def run(
             _raise_all(_end_all(begun))
 
 
-def _interruptible(found: Iterator[SessionStep], interrupts: Interrupts) -> Iterator[SessionStep]:
-    """The steps, up to an interruption, even if a library lost it or made another error of it."""
+def interruptible(found: Iterator[Made], interrupts: Interrupts) -> Iterator[Made]:
+    """The steps, or what else filters make, up to an interruption, even if a library lost it or made another error of
+    it."""
     with uninterrupted_compilation(interrupts):
         while True:
             interrupts.check()

@@ -30,6 +30,16 @@ ROOM = 16
 """Steps that fit into a fresh store at least.  Pruning visits every node once; a store is at least doubled by
 it, so that a node costs a constant however long the run is."""
 
+JUMP = 16
+"""Steps whose ancestors are kept as one, too: who wants to see a long run goes back in long strides."""
+
+DEAD_ROOM = 0.25
+"""Height of a line that died at once in the ancestry picture; one of the living has 1, and so would one that died
+only now."""
+
+DEAD_END = 0.6
+"""Of the way to the next column, how far a line that died is drawn: it lived until the end of its last step."""
+
 
 # --- The whole history --------------------------------------------------------------------------------------
 
@@ -91,19 +101,21 @@ class Branch(NamedTuple):
     """The step of poses[0]; poses[i] is of step first_step + i."""
     living: int
     """How many living particles descend through it."""
-    root: int
-    """Index of its ancestor at time zero."""
+    founder: int
+    """`Genealogy.founders` of the particle that it leads to."""
 
 
 class Strip(NamedTuple):
     """One line of the ancestry picture."""
 
     points: Floats
-    """(m, 2) of (step, slot), m >= 2; slot = (index + 0.5) / K of the particle at that step, in (0, 1)."""
-    root: int
-    """Index of its ancestor at time zero: the key of its colour."""
+    """(m, 2) of (step, height in (0, 1)), m >= 2."""
+    founder: int
+    """`Genealogy.founders` of the particle that it leads to: the key of its colour."""
+    living: int
+    """How many living particles descend through it."""
     alive: bool
-    """Whether a living particle descends through it, shown or not."""
+    """Whether one of those that are shown does."""
 
 
 class Genealogy:
@@ -129,10 +141,11 @@ class Genealogy:
         if s.shape != (K, 3) or K == 0:
             raise ValueError(f"poses of shape {s.shape}: expected (K, 3) with K >= 1")
         store = _Store(ROOM * K)
-        roots = _frozen(np.arange(K, dtype=np.int32))
-        store.write(0, 0, np.full(K, -1, np.int32), roots, s)
+        founders = _frozen(np.arange(K, dtype=np.int32))
+        store.write(0, 0, np.full(K, -1, np.int32), founders, s)
         store.used = K
-        store.lineages.append(roots)
+        store.lineages.append(founders)
+        store.founders.append(founders)
         return cls(store, K, K, 0)
 
     def grow(self, ancestors: Indices, s: Floats) -> Genealogy:
@@ -150,10 +163,15 @@ class Genealogy:
             raise ValueError(f"ancestors {a.min()} to {a.max()}: there are {K} particles before the step")
 
         store, first = _claim(self, grown)
-        lineage = store.root[first - K : first][a]
-        store.write(first, self._steps + 1, a + np.int32(first - K), lineage, s)
+        founders = store.founders[self._steps][a]
+        if founders.min() == founders.max():
+            founders = np.arange(grown, dtype=np.int32)
+        store.write(first, self._steps + 1, a + np.int32(first - K), founders, s)
+        store.founders.append(_shared(founders, store.founders))
+        store.lineages.append(_shared(store.lineages[self._steps][a], store.lineages))
         store.ancestors.append(_shared(a, store.ancestors))
-        store.lineages.append(_shared(lineage, store.lineages))
+        if len(store.ancestors) % JUMP == 0:
+            store.jumps.append(_frozen(_composed(store.ancestors[-JUMP:])))
         new = Genealogy(store, first + grown, grown, self._steps + 1)
         if grown > 1 and self._coalesced is not None and np.bincount(a, minlength=K).min() > 0:
             new._coalesced = self._coalesced  # nobody died, so the paths still meet where they met
@@ -168,7 +186,7 @@ class Genealogy:
     def nbytes(self) -> int:
         """Memory of the poses behind it, room for later ones included."""
         store = self._store
-        return store.parent.nbytes + store.step.nbytes + store.root.nbytes + store.pose.nbytes
+        return store.parent.nbytes + store.step.nbytes + store.founder.nbytes + store.pose.nbytes
 
     @property
     def particles(self) -> int:
@@ -189,6 +207,15 @@ class Genealogy:
     def lineage(self) -> Ints:
         """(K,) index of the ancestor at time zero of every living particle."""
         return self._store.lineages[self._steps].astype(np.int64)
+
+    @property
+    def founders(self) -> Ints:
+        """(K,) for each living particle whom its line is named, and coloured, after.
+
+        That is its ancestor at time zero.  Whenever all that live descend from one founder there is nothing left to
+        tell apart, and the living become founders themselves, by their index.
+        """
+        return self._store.founders[self._steps].astype(np.int64)
 
     def path(self, k: int) -> Floats:
         """(steps+1, 3) [m, m, rad] the poses on the path of living particle k, from time zero."""
@@ -212,7 +239,7 @@ class Genealogy:
         poses = self._store.pose[order]
         begins, last = step[order[starts[:-1]]], order[starts[1:] - 1]
         return [
-            Branch(poses[a:b], int(begins[i]), int(living[last[i]]), int(self._store.root[last[i]]))
+            Branch(poses[a:b], int(begins[i]), int(living[last[i]]), int(self._store.founder[last[i]]))
             for i, (a, b) in enumerate(pairwise(starts.tolist()))
         ]
 
@@ -220,6 +247,18 @@ class Genealogy:
         """(steps+1,) how many distinct ancestors the living have, by lag: K now, then back to time zero."""
         survivors = self._store.step[: self._nodes][self._living() > 0]
         return np.bincount(survivors, minlength=self._steps + 1)[::-1].astype(np.int64, copy=False)
+
+    def distinct(self, lags: Sequence[int] | Ints) -> Ints:
+        """(m,) how many distinct ancestors the living had so many steps ago, lags (m,) >= 0; at time zero for longer
+        ones.  Costs what lies between here and the common ancestor."""
+        lags = np.minimum(np.asarray(lags, np.int64), self._steps)
+        if lags.ndim != 1 or lags.min(initial=0) < 0:
+            raise ValueError(f"lags {lags.tolist()}: expected numbers of steps, from 0")
+        store, counts = self._store, np.ones(int(lags.max(initial=0)) + 1, np.int64)
+        found = np.zeros(self._nodes, np.bool_)
+        found[self._nodes - self._particles :] = True
+        _count_back(store.parent[: self._nodes], store.step[: self._nodes], found, counts)
+        return counts[lags]
 
     def common_ancestor_age(self) -> int | None:
         """Steps back to the most recent common ancestor of the living; None where they have none, 0 for one
@@ -234,42 +273,71 @@ class Genealogy:
             self._coalesced = int(_coalescence(parent, step, found))
         return None if self._coalesced < 0 else self._steps - self._coalesced
 
-    def layout(self, max_particles: int = 60, max_steps: int = 200) -> list[Strip]:
-        """The ancestry picture of the last `max_steps` steps, each edge once.
+    def layout(self, max_particles: int = 60, max_columns: int = 200) -> list[Strip]:
+        """The ancestry picture of the whole run, each edge once: the tree as it is known now.
 
-        Shown are the lines of an even sample of at most `max_particles` living particles, and of as many of
-        those that died childless in that time.  A particle stands at (step, slot) for good, so that pictures
-        of successive steps agree; where a line runs straight on only its ends are given.
+        Shown are the lines of an even sample of at most `max_particles` living particles, and of as many of all that
+        ever died childless, at every step or, in a long run, at most `max_columns` of them.  The living stand one
+        above the other, their ancestors in the middle between their descendants, and where lines meet theirs do: no
+        two cross.  Those that died have the less room the shorter their line was.  Where a line runs straight on only
+        its ends are given.
         """
-        first = max(self._steps - max_steps, 0)
-        lineages = self._store.lineages[first : self._steps + 1]
-        ancestors = self._store.ancestors[first : self._steps]
-        sizes = np.array([len(lineage) for lineage in lineages])
-        before = np.cumsum(sizes) - sizes  # where each step begins when all are laid in a row
-        total, K = int(sizes.sum()), self._particles
-        parent = np.full(total, -1, np.int32)
-        parent[sizes[0] :] = np.concatenate([a + b for a, b in zip(ancestors, before[:-1], strict=True)] or [[]])
-
-        alive = _descendants(parent, slice(total - K, total)) > 0
+        marks, sizes, parent = self._columns(max_columns)
+        total, K = len(parent), self._particles
+        living = slice(total - K, total)
         childless = np.ones(total, np.bool_)
         childless[parent[sizes[0] :]] = False
-        died = np.flatnonzero(childless[: total - K])
-        shown = [total - K + _sample(np.arange(K), max_particles), _sample(died, max_particles)]
-        edges = (_descendants(parent, np.concatenate(shown)) > 0) & (parent >= 0)
+        died = _sample(np.flatnonzero(childless[: total - K]), max_particles)
+        column = np.repeat(np.arange(len(marks)), sizes)
+        when = marks[column].astype(float)
+        founder = np.concatenate([self._store.founders[t] for t in marks])
+
+        # Every line that died gets an end of its own, behind all others.
+        ends = when[died] + DEAD_END * (marks[np.minimum(column[died] + 1, len(marks) - 1)] - when[died])
+        parent = np.concatenate([parent, died.astype(np.int32)])
+        when, founder = np.concatenate([when, ends]), np.concatenate([founder, founder[died]])
+        leaf = np.zeros(len(parent), np.bool_)
+        leaf[total:] = True
+        leaf[total - K + _sample(np.arange(K), max_particles)] = True
+        alive = _descendants(parent, np.flatnonzero(leaf[:total])) > 0
+        edges = (_descendants(parent, np.flatnonzero(leaf)) > 0) & (parent >= 0)
+        height = np.empty(len(parent))
+        _place(parent, when / max(self._steps, 1), leaf, alive, height, np.zeros((5, len(parent))))
 
         order, starts = _chains(parent, edges, alive)
-        row = np.searchsorted(before, order, side="right") - 1
         points = np.empty((len(order), 2))
-        points[:, 0] = first + row
-        points[:, 1] = (order - before[row] + 0.5) / sizes[row]
-        root = np.concatenate(lineages)[order]
+        points[:, 0], points[:, 1] = when[order], height[order]
         keep = np.ones(len(order), np.bool_)
         keep[1:-1] = (points[1:-1, 1] != points[:-2, 1]) | (points[1:-1, 1] != points[2:, 1])
         keep[starts[:-1]] = keep[starts[1:] - 1] = True
+        counts, last = _descendants(parent, living), order[starts[1:] - 1]
         return [
-            Strip(points[a:b][keep[a:b]], int(root[b - 1]), bool(alive[order[b - 1]]))
-            for a, b in pairwise(starts.tolist())
+            Strip(points[a:b][keep[a:b]], int(founder[i]), int(counts[i]), bool(alive[i]))
+            for (a, b), i in zip(pairwise(starts.tolist()), last.tolist(), strict=True)
         ]
+
+    def _columns(self, most: int) -> tuple[Ints, Ints, NDArray[np.int32]]:
+        """At most so many steps (c,), among them the first and the last; how many particles lived at each (c,); and
+        all of these in a row, with the row of the ancestor of each in the column before, -1 in the first."""
+        stride = 1
+        while self._steps > stride * (most - 1):
+            stride *= 2
+        marks = np.append(np.arange(0, self._steps, stride), self._steps)
+        sizes = np.array([len(self._store.lineages[t]) for t in marks], np.int64)
+        before = np.cumsum(sizes) - sizes
+        parent = np.full(sizes.sum(), -1, np.int32)
+        for (first, last), here, row in zip(pairwise(marks.tolist()), before[1:], before[:-1], strict=True):
+            parent[here : here + len(self._store.lineages[last])] = self._between(first, last) + row
+        return marks, sizes, parent
+
+    def _between(self, first: int, last: int) -> NDArray[np.int32]:
+        """(K,) the ancestors after `first` steps of those that lived after `last` steps, last > first."""
+        store, parts, t = self._store, [], first
+        while t < last:
+            whole = t % JUMP == 0 and t + JUMP <= last
+            parts.append(store.jumps[t // JUMP] if whole else store.ancestors[t])
+            t += JUMP if whole else 1
+        return _composed(parts)
 
     def _living(self) -> NDArray[np.int32]:
         """(nodes,) how many living particles descend from each node; the living are the last K nodes."""
@@ -288,17 +356,19 @@ class _Store:
         self.used = 0
         self.parent = np.empty(capacity, np.int32)
         self.step = np.empty(capacity, np.int32)
-        self.root = np.empty(capacity, np.int32)
+        self.founder = np.empty(capacity, np.int32)
         self.pose = np.empty((capacity, 3))
         self.ancestors: list[NDArray[np.int32]] = []
         self.lineages: list[NDArray[np.int32]] = []
+        self.founders: list[NDArray[np.int32]] = []
+        self.jumps: list[NDArray[np.int32]] = []
 
-    def write(self, first: int, step: int, parent: Indices, root: Indices, pose: Floats) -> None:
+    def write(self, first: int, step: int, parent: Indices, founder: Indices, pose: Floats) -> None:
         """Fill the nodes from `first` on with one step's."""
         last = first + len(pose)
         self.parent[first:last] = parent
         self.step[first:last] = step
-        self.root[first:last] = root
+        self.founder[first:last] = founder
         self.pose[first:last] = pose
 
 
@@ -321,12 +391,22 @@ def _claim(genealogy: Genealogy, grown: int) -> tuple[_Store, int]:
     pruned = _Store(kept + max(kept, ROOM * grown))
     pruned.parent[:kept] = place[store.parent[survivors]]
     pruned.step[:kept] = store.step[survivors]
-    pruned.root[:kept] = store.root[survivors]
+    pruned.founder[:kept] = store.founder[survivors]
     pruned.pose[:kept] = store.pose[survivors]
     pruned.ancestors = store.ancestors[: genealogy._steps]
     pruned.lineages = store.lineages[: genealogy._steps + 1]
+    pruned.founders = store.founders[: genealogy._steps + 1]
+    pruned.jumps = store.jumps[: genealogy._steps // JUMP]
     pruned.used = kept + grown
     return pruned, kept
+
+
+def _composed(ancestors: Sequence[NDArray[np.int32]]) -> NDArray[np.int32]:
+    """The ancestors of several steps (at least one) in one."""
+    found = ancestors[-1]
+    for step in reversed(ancestors[:-1]):
+        found = step[found]
+    return found
 
 
 def _frozen(values: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -406,6 +486,61 @@ def _coalescence(parent: Any, step: Any, found: Any) -> Any:
             if found[j] and parent[j] >= 0:
                 found[parent[j]] = True
     return -1
+
+
+@kernel
+def _count_back(parent: Any, step: Any, found: Any, counts: Any) -> None:
+    """Fill `counts` (lags,), which comes as ones, with how many distinct ancestors the nodes `found` (n,) of the last
+    step have, by lag, as far back as they have more than one.  `found` is written over."""
+    i = len(parent) - 1
+    for lag in range(len(counts)):
+        t, end, distinct = step[i], i, 0
+        while i >= 0 and step[i] == t:
+            distinct += found[i]
+            i -= 1
+        counts[lag] = distinct
+        if distinct == 1:
+            return
+        for j in range(i + 1, end + 1):
+            if found[j] and parent[j] >= 0:
+                found[parent[j]] = True
+
+
+@kernel
+def _place(parent: Any, when: Any, leaf: Any, alive: Any, height: Any, work: Any) -> None:
+    """Fill `height` (n,) of all nodes that lead to a leaf (n,), in (0, 1).
+
+    when (n,) is their time, of a run of length 1.  Subtrees lie above each other, with room for their leaves.  A node
+    stands in the mean of its leaves; one that is alive (n,) in the mean of those that are.  work (5, n) comes as
+    zeros.
+    """
+    n = len(parent)
+    parted, room, begin, total, leaves = work[0], work[1], work[2], work[3], work[4]
+    for i in range(n):
+        p = parent[i]
+        parted[i] = when[i] if alive[i] or p < 0 else parted[p]  # when it left the lines of the living
+        if leaf[i]:
+            room[i] = 1.0 if alive[i] else DEAD_ROOM + (1.0 - DEAD_ROOM) * (when[i] - parted[i])
+    for i in range(n - 1, -1, -1):
+        if parent[i] >= 0:
+            room[parent[i]] += room[i]
+    top = 0.0
+    for i in range(n):
+        p = parent[i]
+        if p < 0:
+            begin[i] = top
+            top += room[i]
+        else:  # the parent's, which moves on for the next of its children
+            begin[i] = begin[p]
+            begin[p] += room[i]
+    for i in range(n - 1, -1, -1):
+        p = parent[i]
+        if leaf[i]:
+            total[i], leaves[i] = (begin[i] + 0.5 * room[i]) / top, 1.0
+        height[i] = total[i] / leaves[i] if leaves[i] > 0.0 else 0.0
+        if p >= 0 and alive[p] == alive[i]:
+            total[p] += total[i]
+            leaves[p] += leaves[i]
 
 
 @kernel

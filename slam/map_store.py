@@ -186,6 +186,19 @@ class Maps:
         _tags(self.store.pool, self.roots[k], self.depth, tags)
         return tags
 
+    def hypotheses(self) -> tuple[Ints, Ints]:
+        """For every feature (n,), by index: how many different copies of it there are, and how many maps have it.
+
+        A copy is another one if theta or Sigma differ in any bit.  Maps whose particles descend from one that made the
+        feature have it under the same index; where others have something else there, that counts as a copy, too.
+        """
+        copies, holders = np.zeros((2, int(self.counts.max(initial=0))), np.int64)
+        pool = self.store.pool  # one that is moved meanwhile leaves this as it is
+        table, owner = np.zeros((2, 2 << len(self).bit_length()), np.int64)
+        bits, seen = pool.data.view(np.int64), np.empty((3, len(self)), np.int64)
+        _hypotheses(pool, bits, self.roots, self.counts, self.depth, table, owner, seen, copies, holders)
+        return copies, holders
+
     def everything(self, limit: int) -> tuple[Ints, Floats]:
         """owner (N,) and theta (N, D) of the features of all maps, of evenly chosen maps where that exceeds `limit`."""
         total = int(self.counts.sum())
@@ -460,6 +473,70 @@ def _find(pool: Any, roots: Any, counts: Any, depth: Any, tags: Any, begin: Any,
                 if pool.data[leaf_of(pool, roots[k], depth, j), j & (LEAF - 1), last] == tags[i]:
                     n[k, i] = j
                     break
+
+
+@kernel
+def _hypotheses(
+    pool: Any,
+    bits: Any,
+    roots: Any,
+    counts: Any,
+    depth: Any,
+    table: Any,
+    owner: Any,
+    seen: Any,
+    copies: Any,
+    holders: Any,
+) -> None:
+    """Count into `copies` and `holders` (n,), which come as zeros.
+
+    bits is the pool's data as integers.  table and owner (size,) are a hash table, of which an entry counts only
+    if it bears the stamp of those who look, and table comes with zeros; size is a power of two and more than twice the
+    number of maps.  seen (3, K) is work space.
+    """
+    mask, stamp, last = len(table) - 1, 0, bits.shape[2] - 1
+    leaves, limits, many = seen[0], seen[1], seen[2]
+    for first in range(0, len(copies), LEAF):
+        stamp += 1
+        found = 0
+        for k in range(len(roots)):  # leaves, of which many maps may have the same
+            if counts[k] <= first:
+                continue
+            leaf = leaf_of(pool, roots[k], depth, first)
+            h = (leaf * 0x9E3779B1) & mask
+            while table[h] == stamp and leaves[owner[h]] != leaf:
+                h = (h + 1) & mask
+            if table[h] == stamp:
+                many[owner[h]] += 1
+            else:
+                table[h], owner[h] = stamp, found
+                leaves[found], limits[found], many[found] = leaf, counts[k], 1
+                found += 1
+        for j in range(min(LEAF, len(copies) - first)):
+            stamp += 1
+            for u in range(found):
+                row = bits[leaves[u], j]
+                if first + j >= limits[u] or np.isnan(pool.data[leaves[u], j, last]):
+                    continue
+                holders[first + j] += many[u]
+                h = 0
+                for m in range(last):
+                    h = (h ^ row[m]) * 0x5851F42D4C957F2D
+                    h ^= (h >> 29) & 0x7FFFFFFFF
+                h &= mask
+                while table[h] == stamp and not _same(bits[leaves[owner[h]], j], row, last):
+                    h = (h + 1) & mask
+                if table[h] != stamp:
+                    table[h], owner[h] = stamp, u
+                    copies[first + j] += 1
+
+
+@inline
+def _same(a: Any, b: Any, size: Any) -> Any:
+    equal = True
+    for m in range(size):
+        equal &= a[m] == b[m]
+    return equal
 
 
 @inline

@@ -105,6 +105,11 @@ class Evidence(NamedTuple):
     marks: Marks
     """Of mistakes."""
 
+    @property
+    def row(self) -> tuple[float, ...]:
+        """All single numbers, as `NAMES` calls them."""
+        return (*self.numbers, *self.marks)
+
 
 NAMES = (*Numbers._fields, *Marks._fields)
 """Of all that is one number a step."""

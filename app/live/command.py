@@ -102,6 +102,7 @@ class Workbench:
     def __init__(
         self, options: Live, info: SessionInfo, relations: Relations | None, out: Console, stack: ExitStack
     ) -> None:
+        from app.live.diagnoses import Diagnoses
         from app.live.engine import Engine, Listener
         from app.live.judge import Judge
         from app.live.page import Page, Viewer
@@ -120,8 +121,8 @@ class Workbench:
         self._out = out
         if options.record is not None:
             check_path(options.record)
-        trend = Trend()
-        listeners: list[Listener] = [trend]
+        trend, diagnoses = Trend(), Diagnoses()
+        listeners: list[Listener] = [trend, diagnoses]
         self._judge = None if relations is None else Judge(relations, info.source)
         if self._judge is not None:
             listeners.append(self._judge)
@@ -153,6 +154,7 @@ class Workbench:
             list(worlds()),
             lambda name: load(name, {}, LogParts()),
             self._view,
+            diagnoses,
             self._notes,
         )
         stack.callback(self.panel.close)

@@ -15,6 +15,7 @@ import rich
 import viser
 
 from app.errors import sentence
+from app.live.diagnoses import NOTHING, Diagnoses
 from app.live.engine import Engine, Status
 from app.live.trend import Trend
 from app.options import FILTERS, PRESETS
@@ -51,7 +52,9 @@ UNTIL = {
     "the next depletion": ("depleted",),
     "the next loop closure": ("loop closed",),
     "lost association": ("association lost",),
-    "any of these": ("depleted", "loop closed", "association lost"),
+    "overconfidence": ("overconfident",),
+    "a duplicate in a map": ("duplicate born",),
+    "any of these": ("depleted", "loop closed", "association lost", "overconfident", "duplicate born"),
 }
 
 NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into a rectangle, the right button moves."
@@ -59,6 +62,9 @@ NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
 NO_PRESET = "-"
+
+NO_STEP = "-"
+"""Of the steps that a diagnosis names, none."""
 
 TRUNK = "the first run"
 """What people call the branch without a name."""
@@ -141,6 +147,7 @@ class Panel:
         worlds: Sequence[str],
         open_world: Callable[[str], Source],
         view: Callable[[viser.ViserServer], View] | None = None,
+        diagnoses: Diagnoses | None = None,
         notes: Callable[[], str] = lambda: "",
         host: str = "127.0.0.1",
         port: int = 0,
@@ -156,6 +163,7 @@ class Panel:
         self._view = view(self.server) if view else None
         if self._view is not None:
             engine.add(self._view.trail)
+        self._diagnoses = diagnoses
         self._notes = notes
         """What is to be said beside where the session stands."""
         self._link = True
@@ -206,6 +214,8 @@ class Panel:
         with tabs.add_tab("Now"):
             self.table = gui.add_markdown(now.table(status))
             self.plots = now.Plots(gui)
+        with tabs.add_tab("Diagnosis"):
+            self._build_diagnosis()
         with tabs.add_tab("Run"):
             self._build_run(status)
         with tabs.add_tab("Noise"):
@@ -228,6 +238,14 @@ class Panel:
         self.play.on_click(lambda _: engine.pause() if engine.status.playing else engine.play())
         self.go = gui.add_button_group("one at a time", (STEP, BACK, RUN_TO))
         self.go.on_click(lambda _: self._go(self.go.value))
+
+    def _build_diagnosis(self) -> None:
+        gui = self._gui
+        self.named: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "look at step", [NO_STEP], hint="Go to one of the steps that are named below."
+        )
+        self.named.on_update(lambda _: self._look_at_named())
+        self.diagnosis = gui.add_markdown(NOTHING)
 
     def _build_noise(self, source: Source) -> None:
         gui = self._gui
@@ -368,6 +386,11 @@ class Panel:
         if isinstance(step, int | float) and not isinstance(step, bool):
             self._engine.go(int(min(max(step, 0), self._engine.status.newest)))
 
+    def _look_at_named(self) -> None:
+        if not getattr(self._own, "busy", False) and self.named.value != NO_STEP:
+            self._engine.pause()
+            self._travel(int(self.named.value))
+
     def _toggle_recording(self) -> None:
         name = self.name.value if isinstance(self.name.value, str) else ""
         self._try(lambda: self._records.stop() if self._records.running else self._records.start(name))
@@ -451,6 +474,12 @@ class Panel:
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)
         self.plots.show(self._trend.of(status.branch, status.step))
+        if self._diagnoses is not None:
+            told = self._diagnoses.of(status.branch, status.step, now=not status.playing)
+            _set(self.diagnosis, "content", told.text)
+            steps = (NO_STEP, *map(str, told.steps))
+            if tuple(self.named.options) != steps:
+                self.named.options = steps
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

@@ -30,7 +30,8 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /evidence/<filter>              what `diagnose` goes by, at every step (`app.diagnosis.evidence`): `numbers`, whose
                                     `names` /evidence has, and by observation its `shares` of the variance of the
                                     log weights, the `features` of the best map, and `widths` of what is expected
-    /branch/<name>/...              the same tree for a branch; property `session-<name>`
+    /branch/<name>/...              the same tree for a branch, from its first step on; property `session-<name>`, with
+                                    `parent`, the branch that it left (empty for the run itself)
     /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 

@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from app import colours
-from app.recording.charts import HEIGHT, LEFT, WIDTH
+from app.recording.charts import CURVES, CURVES_WIDTH, HEIGHT
 from app.recording.ground import Extent
 from app.recording.metrics import BY_NAME, LOG_NEES_RANGE, Metric, populations
 from app.recording.scene import CLOSE_HEIGHT, nice
@@ -253,10 +253,12 @@ def _eye(centre: Floats | tuple[float, float], distance: float) -> rrb.EyeContro
 
 GROUPS = {
     "Consistency": ("n_eff", "diversity", "nees_log10"),
+    "Weights": ("weight_deviation", "first_share", "inside", "proposal_width"),
+    "Innovations": ("nis_first", "nis_second"),
     "Errors": ("position_error", "heading_error", "map_error"),
     "Map and cost": ("features", "duplicates", "update_ms"),
 }
-AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02)}
+AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02), "inside": (0.0, 1.02), "first_share": (-0.1, 1.1)}
 
 
 def _plots(branches: Sequence[Shown], beside: Callable[..., rrb.Container] = rrb.Vertical) -> rrb.Container:
@@ -301,8 +303,17 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
         )
         for f in _many(branch)
     ]
+    hypotheses = [
+        rrb.BarChartView(
+            name=branch.named(f.title),
+            origin=branch.at(f"hypotheses/{f.key}"),
+            plot_legend=rrb.PlotLegend(visible=False),
+        )
+        for f in _many(branch)
+    ]
     return rrb.Tabs(
         _ancestry(branch),
+        rrb.Horizontal(*hypotheses, name="Hypotheses"),
         rrb.Horizontal(*weights, name="Weights times K"),
         *(_events(one) for one in reversed(branches)),
         *(_relations(one) for one in reversed(branches) if "relations" in one.known),
@@ -324,9 +335,9 @@ def _ancestry(branch: Shown) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         name=branch.named("Ancestry"),
         origin=branch.at("genealogy"),
-        contents=["+ $origin/frame/**", *(f"+ $origin/{f.key}" for f in _many(branch))],
+        contents=["+ $origin/frame/**", "+ $origin/cursor", *(f"+ $origin/{f.key}/**" for f in _many(branch))],
         background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-LEFT, WIDTH + 6.0), y_range=(-6.0, HEIGHT + 9.0)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-6.0, CURVES + CURVES_WIDTH + 6.0), y_range=(-1.0, HEIGHT + 12.0)),
     )
 
 

@@ -1,4 +1,4 @@
-"""What is no map and no plot over time: the ancestry picture and the sorted weights."""
+"""What is no map and no plot over time: the ancestry picture, the sorted weights, and what is left of hypotheses."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from app import ancestry as descent
 from app import colours
 from app.diagnosis.evidence import NAMES, Evidence
 from app.recording import arrow
 from app.recording.limits import Limits, sample
-from slam.genealogy import Genealogy, Strip
-from slam.types import Floats, Particles
+from slam.genealogy import Genealogy
+from slam.types import Ints, Particles
 
-WINDOW = 120
-"""[steps] of ancestry that the picture shows."""
+WIDTH, HEIGHT, HEADER = 140.0, 100.0, 11.0
+"""Of the trees, of all of them together with what is written above each, and of that."""
 
-LINES = 48
-"""Living particles whose ancestry it shows, and as many that died."""
+CURVES, CURVES_WIDTH, CURVES_TOP = WIDTH + 15.0, 54.0, HEADER
+"""Where, beside them, the curves of what is left of the ancestors begin, how wide they are, and how far down."""
 
-WIDTH, HEIGHT, GAP, LEFT = 165.0, 100.0, 6.0, 66.0
-"""Of the whole picture, between the bands of the filters, and of the margin that holds their names."""
+THINNEST, THICKEST, DEAD = 0.6, 2.2, 0.35
+"""[points] radii of lines, by how many of the living descend through them; of those that died out."""
+
+
+SHORTEST = 60
+"""[steps] that the time axis has at least, unless the run is shorter; it doubles whenever it has become too short."""
 
 
 class Band(NamedTuple):
@@ -30,57 +35,119 @@ class Band(NamedTuple):
 
     top: float
     height: float
-    steps: int
-    """Length of the time axis."""
-    scrolls: bool
-    """A run longer than the window: the axis counts back from the present."""
 
-    def place(self, points: Floats, now: int) -> Floats:
-        """(m, 2) of (step, slot) to (x, y) of the picture."""
-        x = points[:, 0] - (now - self.steps if self.scrolls else 0)
-        return np.stack([x * WIDTH / self.steps, self.top + self.height * points[:, 1]], axis=1)
+    @property
+    def bottom(self) -> float:
+        """Where it ends."""
+        return self.top + self.height
 
 
-def bands(count: int, steps: int) -> list[Band]:
-    """The picture divided among so many filters, for a run of so many steps."""
-    height = (HEIGHT - GAP * (count - 1)) / count
-    window = min(steps, WINDOW)
-    return [Band(i * (height + GAP), height, max(window, 1), steps > WINDOW) for i in range(count)]
+def bands(count: int) -> list[Band]:
+    """The picture divided among so many filters."""
+    height = HEIGHT / count - HEADER
+    return [Band(i * HEIGHT / count + HEADER, height) for i in range(count)]
 
 
-def ancestry(genealogy: Genealogy, band: Band, rgb: colours.RGB) -> rr.LineStrips2D:
-    """Lines of descent of the last steps: dim where they died out, the descendants of a founder all in one shade."""
-    strips = sorted(genealogy.layout(max_particles=LINES, max_steps=band.steps), key=lambda s: s.alive)
-    rows = band.place(np.concatenate([s.points for s in strips] or [np.zeros((0, 2))]), genealogy.steps)
+def time_axis(step: int, total: int) -> int:
+    """[steps] of the time axis at a step of a run of so many: long enough for it, and not many times longer."""
+    axis = SHORTEST
+    while axis < step:
+        axis *= 2
+    return max(min(axis, total), 1)
+
+
+def ancestry(genealogy: Genealogy, band: Band, axis: int, rgb: colours.RGB) -> rr.LineStrips2D:
+    """Lines of descent from the beginning until now, the descendants of a founder all in one colour."""
+    tree = descent.tree(genealogy, rgb)
+    alive = tree.share > 0.0
+    radii = np.where(alive, THINNEST + (THICKEST - THINNEST) * np.sqrt(tree.share), DEAD)
+    x, y = tree.points[:, 0] * WIDTH / axis, band.top + band.height * tree.points[:, 1]
     return rr.LineStrips2D.from_fields(
-        strips=arrow.strips(rows, [len(s.points) for s in strips]),
-        colors=arrow.colours(_shades(strips, rgb)),
-        radii=pa.array([-0.75 if s.alive else -0.4 for s in strips], pa.float32()),  # negative: points on the screen
+        strips=arrow.strips(np.stack([x, y], axis=1), tree.lengths),
+        colors=arrow.colours(tree.tones),
+        radii=pa.array(-radii, pa.float32()),  # negative: points on the screen
     )
 
 
-def ancestry_frame(band: Band, title: str, rgb: colours.RGB) -> tuple[rr.LineStrips2D, rr.Points2D]:
-    """The box of one band, the name of its filter and marks on its time axis."""
-    top, bottom = band.top, band.top + band.height
-    box = [[0, top], [WIDTH, top], [WIDTH, bottom], [0, bottom], [0, top]]
-    name = rr.Points2D(
-        [[-0.5 * LEFT, 0.5 * (top + bottom) - 2.0]], labels=title, show_labels=True, radii=0.0, colors=rgb
-    )
-    return rr.LineStrips2D([box], colors=(60, 60, 60), radii=rr.Radius.ui_points(0.5), draw_order=0.0), name
+def ancestry_frame(band: Band, rgb: colours.RGB) -> rr.LineStrips2D:
+    """The box of one band, in the colour of its filter."""
+    box = _box(0.0, band.top, WIDTH, band.height)
+    return rr.LineStrips2D([box], colors=colours.faded(rgb, 0.5), radii=rr.Radius.ui_points(0.5), draw_order=0.0)
 
 
-def time_marks(last: Band) -> rr.Points2D:
+def ancestry_words(band: Band, title: str, words: str, rgb: colours.RGB) -> rr.Points2D:
+    """What is said of one band, above it."""
+    return _labels([[0.5 * WIDTH, band.top - 0.75 * HEADER]], [f"{title}: {words}"], rgb)
+
+
+def cursor(step: int, axis: int, first: Band, last: Band) -> rr.LineStrips2D:
+    """The present step, on the time axis that the picture has."""
+    x = WIDTH * min(step / axis, 1.0)
+    return rr.LineStrips2D.from_fields(strips=arrow.strips(np.array([[x, first.top], [x, last.bottom]]), [2]))
+
+
+def look_of_cursor() -> rr.LineStrips2D:
+    """How it looks."""
+    return rr.LineStrips2D.from_fields(colors=(255, 255, 255), radii=rr.Radius.ui_points(0.5))
+
+
+def lag_curve(lags: Ints, left: Ints, steps: int, particles: int) -> rr.LineStrips2D:
+    """How many distinct ancestors the living had, left (n,), so many steps ago, lags (n,), in a run of so many steps:
+    both axes logarithmic."""
+    x = CURVES + CURVES_WIDTH * np.log10(1.0 + lags) / np.log10(1.0 + max(steps, 1))
+    share = np.minimum(np.log10(left) / np.log10(max(particles, 2)), 1.0)
+    y = HEIGHT - (HEIGHT - CURVES_TOP) * share
+    return rr.LineStrips2D.from_fields(strips=arrow.strips(np.stack([x, y], axis=1), [len(lags)]))
+
+
+def look_of_lag_curve(rgb: colours.RGB) -> rr.LineStrips2D:
+    """In the colour of the filter."""
+    return rr.LineStrips2D.from_fields(colors=rgb, radii=rr.Radius.ui_points(1.0))
+
+
+def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
+    """The box of the curves, and numbers on their axes."""
+    box = _box(CURVES, CURVES_TOP, CURVES_WIDTH, HEIGHT - CURVES_TOP)
+    decades = [10**i for i in range(1, 8)]
+    at = [d for d in decades if d < steps]
+    x = [CURVES + CURVES_WIDTH * float(np.log10(1 + d) / np.log10(1 + max(steps, 1))) for d in at]
+    marks = [d for d in decades if d < particles]
+    y = [HEIGHT - (HEIGHT - CURVES_TOP) * float(np.log10(d) / np.log10(particles)) for d in marks]
+    lines = [[[v, CURVES_TOP], [v, HEIGHT]] for v in x] + [[[CURVES, v], [CURVES + CURVES_WIDTH, v]] for v in y]
+    places = [
+        [CURVES + 0.5 * CURVES_WIDTH, 0.25 * CURVES_TOP],
+        [CURVES - 4.0, HEIGHT],
+        *([CURVES - 4.0, v] for v in y),
+        [CURVES, HEIGHT + 4.0],
+        *([v, HEIGHT + 4.0] for v in x),
+    ]
+    labels = ["ancestors left, by steps back", "1", *map(str, marks), "now", *map(str, at)]
+    grid = rr.LineStrips2D([box, *lines], colors=(60, 60, 60), radii=rr.Radius.ui_points(0.5), draw_order=0.0)
+    return grid, _labels(places, labels, GREY)
+
+
+def time_marks(last: Band, axis: int) -> rr.Points2D:
     """Numbers below the lowest band."""
-    every = next(e for e in (1, 2, 5, 10, 20, 50) if last.steps / e <= 7)
-    marks = range(0, last.steps + 1, every)
-    label = (lambda m: f"{m - last.steps}" if m < last.steps else "now") if last.scrolls else (lambda m: f"step {m}")
-    return rr.Points2D(
-        [[m * WIDTH / last.steps, last.top + last.height + 2.0] for m in marks],
-        labels=[label(m) for m in marks],
-        show_labels=True,
-        radii=0.0,
-        colors=(150, 150, 150),
-    )
+    every = next(f * 10**i for i in range(8) for f in (1, 2, 5) if axis <= 6 * f * 10**i)
+    marks = range(0, axis + 1, every)
+    places = [[m * WIDTH / axis, last.bottom + 4.0] for m in marks]
+    return _labels(places, [f"{m}" if m else "step 0" for m in marks], GREY)
+
+
+GREY: colours.RGB = (150, 150, 150)
+
+
+def _box(x: float, y: float, width: float, height: float) -> list[list[float]]:
+    return [[x, y], [x + width, y], [x + width, y + height], [x, y + height], [x, y]]
+
+
+def _labels(places: list[list[float]], labels: list[str], rgb: colours.RGB) -> rr.Points2D:
+    return rr.Points2D(places, labels=labels, show_labels=True, radii=0.0, colors=rgb)
+
+
+def hypothesis_bars(copies: Ints, rgb: colours.RGB) -> rr.BarChart:
+    """How many hypotheses of each feature (n,) are left."""
+    return rr.BarChart.from_fields(values=arrow.bars(copies.astype(float)), color=rgb)
 
 
 def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
@@ -91,9 +158,9 @@ def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
 
 def evidence(found: Evidence) -> rr.AnyValues:
     """What a diagnosis is made of, for whoever reads the recording; no view shows it."""
-    numbers, (shares, features, widths), marks = found
+    shares, features, widths = found.observations
     return rr.AnyValues(
-        numbers=pa.array((*numbers, *marks), pa.float64()),
+        numbers=pa.array(found.row, pa.float64()),
         shares=pa.array(shares),
         features=pa.array(features),
         widths=pa.array(widths),
@@ -103,11 +170,3 @@ def evidence(found: Evidence) -> rr.AnyValues:
 def evidence_names() -> rr.AnyValues:
     """What the numbers of `evidence` are called, in their order."""
     return rr.AnyValues(names=list(NAMES))
-
-
-def _shades(strips: list[Strip], rgb: colours.RGB) -> Floats:
-    """(n, 3): neighbouring founders get tones of the filter's hue that are far apart."""
-    dark, light = np.array(colours.faded(rgb, 0.35)), np.array(colours.mix(rgb, (255, 255, 255), 0.55))
-    tone = np.array([s.root * 0.618034 % 1.0 for s in strips])[:, None]
-    alive = np.array([s.alive for s in strips])[:, None]
-    return np.where(alive, dark + tone * (light - dark), np.array(colours.faded(rgb, 0.75)))

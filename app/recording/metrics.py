@@ -58,6 +58,40 @@ METRICS = (
         needs="heading",
     ),
     Metric("map_error", "Map error, aligned [m]", lambda u: u.measures.map_error_m, needs="map"),
+    Metric(
+        "weight_deviation",
+        "Deviation of the log weights that a step adds",
+        lambda u: u.evidence.numbers.deviation,
+        population=True,
+    ),
+    Metric(
+        "first_share",
+        "Share of ranges, or lateral offsets, in their variance",
+        lambda u: u.evidence.numbers.first,
+        population=True,
+    ),
+    Metric(
+        "inside",
+        "Share of the particles that the likelihood reaches",
+        lambda u: u.evidence.numbers.inside,
+        population=True,
+    ),
+    Metric(
+        "proposal_width",
+        "Spread of what particles expect to see, over the deviation that each expects",
+        lambda u: max(u.evidence.numbers.wide_first, u.evidence.numbers.wide_second),
+        population=True,
+    ),
+    Metric(
+        "nis_first",
+        "Squared innovations over their expectation (1): ranges, lateral offsets",
+        lambda u: u.evidence.numbers.nis_first,
+    ),
+    Metric(
+        "nis_second",
+        "The same of bearings, angles",
+        lambda u: u.evidence.numbers.nis_second,
+    ),
     Metric("features", "Features in the best map", lambda u: float(u.measures.features)),
     Metric("duplicates", "Duplicate features in the best map", lambda u: float(u.measures.duplicates), needs="tags"),
     Metric(

@@ -7,7 +7,7 @@ import math
 import subprocess
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,13 +16,15 @@ import numpy as np
 
 from app.diagnosis.evidence import Observations, Record, record_of
 from app.recording.errors import MAGIC, RecordingError
+from app.recording.metrics import LONERS
 from app.recording.program import binary
 from slam.types import Floats, Ints
 
 if TYPE_CHECKING:
-    from rerun.chunk import Chunk, RrdReader
+    from rerun.chunk import Chunk, LazyChunkStream, RrdReader
 
-SCALAR, SESSION = "Scalars:scalars", "/__properties/session"
+SCALAR, PROPERTIES = "Scalars:scalars", "/__properties"
+SESSION = f"{PROPERTIES}/session"
 MERGED = "/__properties/comparison"
 """What a recording has that `merging` made of others."""
 
@@ -54,10 +56,11 @@ class Event(NamedTuple):
 class Recording:
     """What a recording holds.  Reads the file once, when it is opened; a damaged one up to the damage."""
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, below: Sequence[str] = ()) -> None:
+        """`below` are the entities that are wanted, each with all below it, of a large file; by default all."""
         self.path = Path(path)
         _check(self.path)
-        with _readable(self.path) as (chunks, damaged):
+        with _readable(self.path, below) as (chunks, damaged):
             self.damaged = damaged
             """Whether it ends in the middle of something, and was read up to there."""
             self._chunks: dict[str, list[Chunk]] = {}
@@ -103,6 +106,25 @@ class Recording:
         times, values = (np.array(column) for column in zip(*sorted(rows, key=lambda r: r[0]), strict=True))
         return times * 1e-9 if timeline == "sim_time" else times, values.astype(float)
 
+    def ancestors(self, key: str, branch: str = "") -> list[Ints]:
+        """Of a filter, for every step from the first: of which particle before it each one after it is a copy, (K,).
+
+        `slam.genealogy` has functions of such a list.  Up to the last step of which there is a number.
+        """
+        below = f"/branch/{branch}" if branch else ""
+        found = dict(self.rows(f"{below}/ancestors/{key}", "ancestors", "step"))
+        if 1 not in found:
+            raise RecordingError(f"{self.path} does not say which particles of {key} descend from which")
+        steps, _ = self.series(f"{below}/plots/n_eff/{key}")
+        ancestors, particles = [], 0
+        for step in range(1, int(steps[-1]) + 1):
+            if step in found:
+                ancestors.append(np.array(found[step], np.int64))
+                particles = len(ancestors[-1])
+            else:  # none died, none was copied
+                ancestors.append(np.arange(particles))
+        return ancestors
+
     def events(self, entity: str = "/events") -> list[Event]:
         """All events, in order; those of a branch have another entity."""
         texts = self._rows(entity, "TextLog:text", "step")
@@ -112,7 +134,8 @@ class Recording:
     def evidence(self, key: str, prefix: str = "") -> Record:
         """What a filter left for a diagnosis; `prefix` is that of the entities of a branch, such as `/branch/six`.
 
-        Of a recording that has none (it is of an earlier version) what its plots tell; the rest is missing.
+        Of a recording that has none (it is of an earlier version) what its plots tell, with K as it was at the
+        beginning; the rest is missing.
         """
         entity, names = f"{prefix}/evidence/{key}", list(self._rows(f"{prefix}/evidence", "names"))
         columns = [dict(self._rows(entity, what, "step")) for what in ("numbers", *Observations._fields)]
@@ -135,8 +158,9 @@ class Recording:
         if not steps:
             raise RecordingError(f"{self.path} has no numbers of the filter {key}")
         known = [name for name, found in series.items() if found]
-        rows = np.array([[series[name].get(i, math.nan) for name in known] for i in steps])
-        return record_of(np.array(steps), known, rows, [])
+        K = self.params(prefix.rpartition("/")[2])["params"]["particles"] if key not in LONERS else 1
+        rows = np.array([[K, *(series[name].get(i, math.nan) for name in known)] for i in steps])
+        return record_of(np.array(steps), ["particles", *known], rows, [])
 
     def rows(self, entity: str, component: str, timeline: str = "stage") -> list[tuple[int, list[Any]]]:
         """Every value of a component such as `Points3D:positions`, with its time, in order of time."""
@@ -213,27 +237,31 @@ def _check(path: Path) -> None:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[tuple[list[Chunk], bool]]:
+def _readable(path: Path, below: Sequence[str]) -> Iterator[tuple[list[Chunk], bool]]:
     """The chunks of a file, and False; of one that is cut in the middle of a chunk, of a repaired copy, and True."""
     try:
-        yield _chunks(path), False
+        yield _chunks(path, below), False
         return
     except (RuntimeError, ValueError):
         pass
     with tempfile.TemporaryDirectory() as folder:
         repaired = repair(path, Path(folder) / "repaired.rrd")
         try:
-            yield _chunks(repaired), True
+            yield _chunks(repaired, below), True
         except (RuntimeError, ValueError) as error:
             raise RecordingError(f"{path} cannot be read: {error}") from None
 
 
-def _chunks(path: Path) -> list[Chunk]:
+def _chunks(path: Path, below: Sequence[str] = ()) -> list[Chunk]:
     reader = open_reader(path)
     try:
-        return reader.store().stream().to_chunks()  # by the index at the end of a complete file
+        return _wanted(reader.store().stream(), below).to_chunks()  # by the index at the end of a complete file
     except RuntimeError:
-        return reader.stream().to_chunks()
+        return _wanted(reader.stream(), below).to_chunks()
+
+
+def _wanted(stream: LazyChunkStream, below: Sequence[str]) -> LazyChunkStream:
+    return stream.filter(content=[f"+ {entity}/**" for entity in (*below, PROPERTIES)]) if below else stream
 
 
 def open_reader(path: Path) -> RrdReader:

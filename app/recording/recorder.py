@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,6 +40,12 @@ class Recorder:
         """Write one observing step."""
         if self._writer is not None:
             self._writer.step(step)
+
+    def fork(self, info: SessionInfo, name: str) -> Callable[[SessionStep], None]:
+        """A branch of the session, in the same file: what is to be told of its steps."""
+        if self._writer is None:
+            raise ValueError("a branch needs a session that has begun and not ended")
+        return self._writer.fork(info, name).step
 
     def end(self) -> None:
         """Complete the file."""

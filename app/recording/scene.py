@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from app import colours, shades
+from app import ancestry, colours, shades
 from app.colours import RGB
 from app.recording import arrow
 from app.recording.limits import Limits, sample, thinned, thinned_tree
@@ -154,10 +154,10 @@ def associations(seen: Floats, features: Floats, style: Style) -> list[Any]:
 
 
 def lineages(genealogy: Genealogy, shown: Limits, style: Style) -> rr.LineStrips3D:
-    """All surviving paths: the more of the living particles descend through a branch, the brighter it is."""
+    """All surviving paths, in the colours of the ancestry picture: the more of the living particles descend through a
+    branch, the brighter it is."""
     branches, rows, lengths = thinned_tree(genealogy.branches(), genealogy.steps, 4 * shown.vertices)
-    living = np.array([b.living for b in branches], float)
-    tones = shades.faded(style.rgb, 0.65 - 0.4 * np.sqrt(living / max(living, default=1.0)))
+    tones = ancestry.of_branches(genealogy, branches, style.rgb)
     strips = arrow.strips(rows, lengths, style.z(LINEAGES))
     return rr.LineStrips3D.from_fields(strips=strips, colors=arrow.colours(tones))
 

@@ -103,7 +103,8 @@ class SessionWriter:
             filters = estimators(forked.settings.filters, info.mistake)
             info = info._replace(filters=filters, params=forked.settings.params, noise=forked.settings.noise)
         judged = self._judge is not None and self._judge.knows(info)
-        return self._first.fork(info, branch or TRUNK, partial(self._breaks, branch) if judged else None)
+        left = self._first if forked is None else self._writers.get(forked.parent, self._first)
+        return left.fork(info, branch or TRUNK, partial(self._breaks, branch) if judged else None)
 
     def _breaks_of_first(self, step: SessionStep) -> dict[str, Breaks]:
         return self._breaks(self._first_branch, step)

@@ -134,6 +134,7 @@ def description(info: SessionInfo, time_origin: float) -> dict[str, Any]:
         "world": info.source.name,
         "title": info.source.title,
         "kind": info.source.kind,
+        "features": "walls" if isinstance(info.source.feature, Wall) else "landmarks",
         "options": _plain(info.source.options),
         "seed": info.seed,
         "steps": info.steps,

@@ -11,9 +11,10 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
-from app import colours
+from app import ancestry, colours
 from app.events import Watch
 from app.pace import Pace
 from app.recording import charts, landmarks, scene, texts, walls
@@ -87,6 +88,10 @@ class Trunk(NamedTuple):
     """Of its entities; ends in a slash."""
     label: str
     """Its name, for people."""
+    path: str
+    """The name that it has in the recording."""
+    parent: str
+    """That of the branch that it left, empty for the run itself."""
 
 
 class Writer:
@@ -143,6 +148,10 @@ class Writer:
         self._crowd = scene.crowding(landmarks_there)
         self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
         self._branches: dict[str, Writer] = {}
+        self._axis = 0
+        """[steps] of the time axis of the ancestry picture; 0 before there is one."""
+        self._descended: dict[str, int] = {}
+        """By filter the last step of which the ancestors are written."""
         self._on = {f.key for f in info.filters}
         self._arrange()
         title = self._shown.named(f"{info.source.name}, seed {info.seed}")
@@ -156,9 +165,12 @@ class Writer:
         It shares the stream, so both are written from one thread, and closing the branch closes nothing.
         """
         if self._trunk is not None:
-            return self._trunk.writer.fork(info, name, judge)
+            return self._trunk.writer._branch(info, name, judge, self._trunk.path)
+        return self._branch(info, name, judge, "")
+
+    def _branch(self, info: SessionInfo, name: str, judge: Judge | None, parent: str) -> Writer:
         path = unused(slug(name), self._branches)
-        trunk = Trunk(self, f"branch/{path}/", name)
+        trunk = Trunk(self, f"branch/{path}/", name, path, parent)
         stream = BranchStream(self._stream, path)
         self._branches[path] = Writer(info, lambda *_: stream, self._shown.aspect, trunk, judge)
         self.show()
@@ -200,6 +212,7 @@ class Writer:
             for metric in METRICS:
                 self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
             self._stream.log(f"evidence/{key}", charts.evidence(update.evidence))
+            self._write_ancestors(key, update, step, stage + 2)
         self._write_guides(step)
         for event in self._watch.step(step):
             line = rr.TextLog(
@@ -238,8 +251,10 @@ class Writer:
                 self._write_particles(key, update.trace.resampled, best_descendant(update))
 
         self._stream.set_time(stage + 2, *now)
+        picture = moments and (everything or due(step.index, self._info.steps, self._limits.pictures))
+        self._write_descent(step, picture)
         for key, update in step.filters.items():
-            self._write_memory(key, update, step.index, everything, past=moments)
+            self._write_memory(key, update, step.index, everything, picture)
         if self._has_time_for_the_log(step, detail):
             with self._pace.kept():
                 self._write_scans(step)
@@ -268,6 +283,8 @@ class Writer:
     def _write_static(self) -> None:
         info, log = self._info, self._stream.log_static
         described = texts.description(info, self._time_origin)
+        if self._trunk is not None:
+            described["parent"] = self._trunk.parent
         self._stream.property("session", rr.AnyValues(json=json.dumps(described)))
         for entity, page in {
             "about": texts.about(info, self._limits),
@@ -288,7 +305,8 @@ class Writer:
         keys = [f.key for f in self._shown.filters]
         self._styles = {k: scene.Style(colours.of_filter(k), rank, self._lift) for rank, k in enumerate(keys)}
         self._many = populations(keys)
-        bands = charts.bands(len(self._many), self._info.steps)
+        bands = charts.bands(len(self._many))
+        self._axis = 0
         self._bands = dict.fromkeys(keys, bands[-1]) | dict(zip(self._many, bands, strict=True))
 
     def _write_looks(self) -> None:
@@ -303,8 +321,10 @@ class Writer:
                 line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
             if f.key in self._many:
-                log(f"genealogy/frame/{f.key}", *charts.ancestry_frame(self._bands[f.key], f.title, rgb))
-        log("genealogy/frame/time", charts.time_marks(self._bands[self._many[-1]]))
+                log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
+                log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
+        log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
+        log("genealogy/cursor", charts.look_of_cursor())
 
     def _notice(self, keys: Collection[str]) -> None:
         """Filters that were switched on or off: the windows keep a place for what was there once."""
@@ -410,11 +430,10 @@ class Writer:
         for entity, what in seen.items():
             self._stream.log(f"world/{key}/{entity}", *what)
 
-    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool, past: bool) -> None:
+    def _write_memory(self, key: str, update: FilterUpdate, index: int, everything: bool, picture: bool) -> None:
         """What the filter remembers: maps, paths, ancestry."""
         style, limits, log = self._styles[key], self._limits, self._stream.log
         weighted, steps = update.trace.weighted, self._info.steps
-        picture = past and (everything or due(index, steps, limits.pictures))
         if picture or update.measures.features <= limits.features:
             theta, Sigma, _ = weighted.maps.features(int(update.measures.best))
             for entity, what in self._features.best_map(theta, Sigma, style).items():
@@ -424,7 +443,52 @@ class Writer:
         if picture:
             log(f"world/{key}/maps", self._features.all_maps(weighted.maps, limits, style))
             log(f"world/{key}/lineages", scene.lineages(update.genealogy, limits, style))
-            log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], style.rgb))
+            log(f"genealogy/{key}", charts.ancestry(update.genealogy, self._bands[key], self._axis, style.rgb))
+            copies, holders = weighted.maps.hypotheses()
+            numbers = rr.AnyValues(copies=pa.array(copies, pa.int32()), maps=pa.array(holders, pa.int32()))
+            log(f"hypotheses/{key}", charts.hypothesis_bars(copies, style.rgb), numbers)
+            of_best = copies[weighted.maps.indices(int(update.measures.best))]
+            log(f"world/{key}/map", rr.AnyValues(hypotheses=pa.array(of_best, pa.int32())))  # shown where the mouse is
+
+    def _write_descent(self, step: SessionStep, picture: bool) -> None:
+        """What of the ancestry is cheap enough for every step: how many are left, by lag and in words, and the cursor;
+        with a new picture, a time axis that is long enough until the next one."""
+        first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
+        axis = charts.time_axis(step.index + self._limits.pictures - 1, self._info.steps)
+        if picture and axis != self._axis:
+            self._axis = axis
+            self._stream.log("genealogy/frame/time", charts.time_marks(last, axis))
+        titles = {f.key: f.title for f in self._shown.filters}
+        for key, update in step.filters.items():
+            if key in self._many:
+                genealogy = update.genealogy
+                lags = ancestry.lags(genealogy.steps)
+                left = genealogy.distinct(lags)
+                curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
+                numbers = rr.AnyValues(steps_back=pa.array(lags, pa.int32()), ancestors=pa.array(left, pa.int32()))
+                self._stream.log(f"genealogy/{key}/lags", curve, numbers)
+                said = charts.ancestry_words(
+                    self._bands[key], titles[key], ancestry.words(update), colours.of_filter(key)
+                )
+                self._stream.log(f"genealogy/{key}/words", said)
+        if self._axis:
+            self._stream.log("genealogy/cursor", charts.cursor(step.index, self._axis, first, last))
+
+    def _write_ancestors(self, key: str, update: FilterUpdate, step: SessionStep, stage: int) -> None:
+        """Of which particle before a step each one after it is a copy, wherever it is not simply the same.
+
+        Also of steps that a recording does not have otherwise: it may have begun late, and a viewer's loses some.
+        """
+        done = self._descended.get(key, 0)
+        self._descended[key] = step.index
+        found = (update.trace.ancestors,) if done == step.index - 1 else update.genealogy.ancestors[done:]
+        for index, ancestors in enumerate(found, done + 1):
+            if index == 1 or not np.array_equal(ancestors, np.arange(len(ancestors))):
+                if index < step.index:
+                    self._stream.set_time(3 * index, index)
+                self._stream.log(f"ancestors/{key}", rr.AnyValues(ancestors=pa.array(ancestors, pa.uint32())))
+                if index < step.index:
+                    self._stream.set_time(stage, *self._now(step))
 
     def _has_time_for_the_log(self, step: SessionStep, detail: Detail) -> bool:
         """Whether it is the turn of what all scans tell: with all other pictures of the past, but for viewers, who get

@@ -6,7 +6,9 @@ A study is a frozen dataclass: its fields are its options, its docstring is its 
 from __future__ import annotations
 
 from app.study.association import AssociationStudy
+from app.study.consistency import ConsistencyStudy
 from app.study.corridor_spread import CorridorSpread
+from app.study.diagnosis import DiagnosisStudy
 from app.study.extraction import ExtractionStudy
 from app.study.laser_log import LaserLog
 from app.study.log_error import LogError
@@ -27,4 +29,6 @@ STUDIES: dict[str, type] = {
     "orthogonality": OrthogonalityStudy,
     "extraction": ExtractionStudy,
     "mistakes": MistakesStudy,
+    "diagnosis": DiagnosisStudy,
+    "consistency": ConsistencyStudy,
 }

@@ -271,3 +271,33 @@ def test_the_truth_is_not_shown_where_nobody_knows_it(tmp_path: Path):
     cleared = [step for step, _ in recording.rows("/world/truth/robot", "Clear:is_recursive", "step")]
     assert cleared
     assert all(40 < step - 1 < 60 for step in cleared)
+
+
+def test_overconfidence_is_told_when_it_has_lasted():
+    """And once: it goes on.  With the NEES of a run replaced by one that is too high from step 5 to 30."""
+    source = build("paper-line")
+    info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=20), seed=1, count=45)
+    watch, said = Watch({"dfs": "Dual FastSLAM"}), []
+    for step in session.steps(info):
+        update = step.filters["dfs"]
+        nees = 9.0 if 5 <= step.index <= 30 else 7.0
+        update = update._replace(measures=update.measures._replace(nees_position=nees))
+        said += [(step.index, e) for e in watch.step(dataclasses.replace(step, filters={"dfs": update}))]
+    found = [(index, event.text) for index, event in said if event.kind == "overconfident"]
+    assert [index for index, _ in found] == [14]
+    assert "for 10 steps and is 9 now" in found[0][1]
+
+
+def test_duplicates_are_told_when_they_are_born():
+    """Not when the best particle changes, and with it how many its map has."""
+    source = build("paper-line")
+    info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=20), seed=1, count=40)
+    watch, born = Watch({"dfs": "Dual FastSLAM"}), []
+    of_step = {3: 1.0, 4: 0.0, 5: 1.0, 20: 1.0, 30: 2.0}
+    for step in session.steps(info):
+        update = step.filters["dfs"]
+        measures = update.measures._replace(duplicates=of_step.get(step.index, 0.0))
+        events = watch.step(dataclasses.replace(step, filters={"dfs": update._replace(measures=measures)}))
+        born += [(step.index, event.text) for event in events if event.kind == "duplicate born"]
+    assert [index for index, _ in born] == [3, 30]
+    assert "2 features show what another one shows already" in born[1][1]

@@ -285,7 +285,7 @@ def test_of_a_large_tree_the_large_branches_are_kept():
     poses = np.zeros((500, 3))
     branches = [Branch(poses, 0, 1 + 1000 * (i == 77), i) for i in range(1000)]
     chosen, rows, lengths = thinned_tree(branches, 500, 4096)
-    assert chosen[0].root == 77
+    assert chosen[0].founder == 77
     assert 10 < len(chosen) == len(lengths) < 1000
     assert sum(lengths) == len(rows) <= 4096
     assert thinned_tree([], 0, 4096)[0] == []

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from app import cli
+from app.study import consistency
 from app.study.jobs import run_all
 from app.study.statistics import Mean, mean, spread
 
@@ -163,3 +164,34 @@ def _slow(task: int) -> int:
 
 def test_an_interruption_does_not_wait_for_other_processes():
     assert run_all(_slow, [0, 1, 2], 2, "slow") == ([0], True)
+
+
+class TestConsistency:
+    def test_an_ekf_is_consistent_and_joint_weights_of_few_particles_are_not(self, tmp_path, capsys):
+        out = tmp_path / "c.json"
+        words = ["study", "consistency", "--runs", "12", "--particles", "50", "--filters", "dfs", "ekf"]
+        assert cli.entry([*words, "--weighting", "joint", "--seed", "40", "--jobs", "1", "--out", str(out)]) == 0
+        told = json.loads(out.read_text())["filters"]
+        assert "EKF-SLAM" in capsys.readouterr().out
+        assert told["ekf"]["pose"]["share_in_band"] > 0.7
+        assert told["dfs"]["position"]["share_in_band"] < 0.3
+        assert len(told["ekf"]["pose"]["mean_by_step"]) == 59
+        assert abs(told["ekf"]["nis"][0]["value"] - 1.0) < 0.2
+
+    def test_the_band_of_a_mean(self):
+        """95 of 100 means of 10 chi-square numbers are in it."""
+        low, high = consistency.band(10, 2)
+        means = np.random.default_rng(0).chisquare(2, (4000, 10)).mean(axis=1)
+        assert ((means >= low) & (means <= high)).mean() == pytest.approx(0.95, abs=0.01)
+
+
+class TestDiagnosis:
+    def test_one_run_of_a_setting(self, tmp_path, capsys):
+        out = tmp_path / "d.json"
+        words = ["study", "diagnosis", "--runs", "1", "--settings", "dual-joint", "fastslam1", "--jobs", "1"]
+        assert cli.entry([*words, "--seed", "3", "--out", str(out)]) == 0
+        assert "dual-joint: paper-line, Dual FastSLAM, K = 100, weighting joint" in capsys.readouterr().out
+        told = json.loads(out.read_text())["settings"]
+        (joint,), (starved,) = told["dual-joint"]["runs"], told["fastslam1"]["runs"]
+        assert joint["cause"] == "shape of the map"
+        assert (starved["advice"], starved["particles"], starved["kept"]) == ("more particles in vain", 1000, True)

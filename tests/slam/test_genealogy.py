@@ -1,5 +1,6 @@
 """The genealogy against plain implementations that keep everything."""
 
+import itertools
 import math
 import threading
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 from slam.genealogy import (
+    DEAD_END,
+    DEAD_ROOM,
     ROOM,
     Genealogy,
     common_ancestor_age,
@@ -45,6 +48,14 @@ class Naive:
     def age(self):
         counts = self.distinct()
         return counts.index(1) if 1 in counts else None
+
+    def founders(self):
+        """[t][i]: whom the line of particle i after t steps is named after."""
+        found = [list(range(len(self.poses[0])))]
+        for a in self.ancestors:
+            names = [found[-1][i] for i in a]
+            found.append(list(range(len(a))) if len(set(names)) == 1 else names)
+        return found
 
     def edges(self):
         """{(step, index): number of living descendants} for every node with an edge to its ancestor."""
@@ -175,11 +186,13 @@ def test_common_ancestor_age_does_not_depend_on_who_asked_before(ask):
 def test_branches_draw_every_surviving_edge_once(seed, since):
     naive, tree = build(seed)
     wanted = {node: living for node, living in naive.edges().items() if node[0] > since}
+    founders = naive.founders()
     drawn = list(edges_of(tree.branches(since), naive))
     assert len(drawn) == len(wanted)
     assert {node: branch.living for node, branch in drawn} == wanted
     for (t, i), branch in drawn:
-        assert branch.root == trace_back(naive.ancestors[:t], i)[0]
+        if t == branch.first_step + len(branch.poses) - 1:
+            assert branch.founder == founders[t][i]
     # As few as can be: one for every edge that leaves a fork, a root or the step from which on to draw.
     children = {}
     for t, i in wanted:
@@ -192,6 +205,8 @@ def test_no_branches_at_the_start():
     tree = Genealogy.start(np.zeros((4, 3)))
     assert tree.branches() == []
     assert tree.layout() == []
+    np.testing.assert_array_equal(tree.founders, np.arange(4))
+    np.testing.assert_array_equal(tree.distinct([0, 7]), [4, 4])
     assert tree.ancestors == ()
     assert tree.common_ancestor_age() is None
     np.testing.assert_array_equal(tree.distinct_ancestors(), [4])
@@ -300,54 +315,124 @@ def test_a_reader_on_another_thread_sees_one_value():
     assert not wrong
 
 
-def strip_nodes(strip, history, K):
-    """The nodes (step, index) that a strip passes, the straight pieces filled in again."""
-    sizes = [K] + [len(a) for a in history]
-    steps = np.arange(strip.points[0, 0], strip.points[-1, 0] + 1)
-    slots = np.interp(steps, strip.points[:, 0], strip.points[:, 1])
-    for t, slot in zip(steps.astype(int), slots, strict=True):
-        index = slot * sizes[t] - 0.5
-        assert index == pytest.approx(round(index), abs=1e-6)
-        yield t, round(index)
+def columns(steps, most):
+    """The steps of the columns of a picture: every power of two, and the last."""
+    stride = next(2**i for i in range(20) if steps <= 2**i * (most - 1))
+    return [*range(0, steps, stride), steps]
+
+
+def test_columns_of_a_picture():
+    assert columns(5, 10) == [0, 1, 2, 3, 4, 5]
+    assert columns(9, 4) == [0, 4, 8, 9]
+
+
+class Picture:
+    """Strips with, at every column, the straight pieces filled in again; those that died have their ends apart."""
+
+    def __init__(self, strips, marks):
+        self.lines = []
+        for strip in strips:
+            at, heights = strip.points.T
+            whole = [t for t in marks if at[0] <= t <= at[-1]]
+            self.lines.append((strip, whole, np.interp(whole, at, heights)))
+
+    def crossings(self, marks):
+        """How often two lines change places between two columns."""
+        count = 0
+        for t, u in itertools.pairwise(marks):
+            pairs = []
+            for _, whole, heights in self.lines:
+                if t in whole and u in whole:
+                    pairs.append((heights[whole.index(t)], heights[whole.index(u)]))
+            rows = np.array(sorted(pairs)).reshape(-1, 2)
+            count += int(np.sum(np.diff(rows[:, 1])[np.diff(rows[:, 0]) > 1e-9] < -1e-9))
+        return count
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("max_particles", "max_steps"), [(1000, 1000), (5, 1000), (1000, 25), (4, 10)])
-def test_layout_draws_true_edges_once(seed, max_particles, max_steps):
+@pytest.mark.parametrize(("max_particles", "max_columns"), [(10_000, 200), (5, 200), (10_000, 40), (4, 12)])
+def test_layout_draws_the_tree_without_crossings(seed, max_particles, max_columns):
     naive, tree = build(seed)
-    first = max(90 - max_steps, 0)
-    survivors = naive.edges()
-    drawn = []
-    for strip in tree.layout(max_particles, max_steps):
-        nodes = list(strip_nodes(strip, naive.ancestors, 15))
-        assert nodes[0][0] >= first
-        assert np.all((strip.points[:, 1] > 0.0) & (strip.points[:, 1] < 1.0))
-        for (t, i), (_, j) in zip(nodes[1:], nodes[:-1], strict=True):
-            assert naive.ancestors[t - 1][i] == j
-            assert strip.alive == ((t, i) in survivors)
-            assert strip.root == trace_back(naive.ancestors[:t], i)[0]
-            drawn.append((t, i))
-    assert len(drawn) == len(set(drawn))
-    tips = {i for t, i in drawn if t == 90}
-    if max_particles == 1000:  # everything of those steps, dead and alive
-        assert len(drawn) == sum(len(a) for a in naive.ancestors[first:])
-    else:
-        assert len(tips) == min(max_particles, tree.particles)
-        dead = [node for node in drawn if node not in survivors]
-        assert dead
+    marks, founders = columns(90, max_columns), naive.founders()
+    strips = tree.layout(max_particles, max_columns)
+    picture = Picture(strips, marks)
+    assert picture.crossings(marks) == 0
+    lines = [naive.indices(k) for k in naive.living()]
+    living = {t: {} for t in marks}
+    for line in lines:
+        for t in marks:
+            living[t][line[t]] = living[t].get(line[t], 0) + 1
+    for strip, whole, heights in picture.lines:
+        assert strip.points[0, 0] == whole[0]
+        assert np.all((heights > 0.0) & (heights < 1.0))
+        end = int(whole[-1])
+        assert strip.founder in founders[end]
+        if strip.alive:
+            assert strip.living in living[end].values()
+            assert strip.points[-1, 0] == end
+    tips = [h[-1] for strip, whole, h in picture.lines if strip.alive and whole[-1] == 90]
+    shown = min(max_particles, tree.particles)
+    assert len(tips) == len(set(tips)) == shown
+    if max_particles == 10_000:  # all is shown: at every column as many lines as there are ancestors, and all that died
+        for t in marks[:-1]:
+            alive = {round(h[w.index(t)], 9) for s, w, h in picture.lines if s.alive and t in w and w[-1] > t}
+            assert len(alive) == len(living[t])
+        dead = [s for s, _, _ in picture.lines if not s.alive and s.points[-1, 0] % 1.0]
+        died = 0
+        for t, u in itertools.pairwise(marks):
+            survivors = trace_back(naive.ancestors[t:u], np.arange(len(naive.poses[u])))[0]
+            died += len(naive.poses[t]) - len(set(survivors.tolist()))
+        assert len(dead) == died
 
 
-def test_layout_of_a_thousand_particles_is_readable():
-    K, T = 1000, 60
+@pytest.mark.parametrize("seed", range(3))
+def test_layout_puts_ancestors_in_the_middle_of_their_descendants(seed):
+    naive, tree = build(seed, T=40)
+    strips = tree.layout(10_000)
+    height = {}
+    tips = sorted(s.points[-1, 1] for s in strips if s.alive and s.points[-1, 0] == 40)
+    lines = [naive.indices(k) for k in naive.living()]
+    by_root = sorted(lines)
+    for line, y in zip(by_root, tips, strict=True):  # in the order of their roots, and below that of their forks
+        for t, i in enumerate(line):
+            height.setdefault((t, i), []).append(y)
+    wanted = {(t, round(float(np.mean(ys)), 9)) for (t, _), ys in height.items()}
+    drawn = {
+        (float(t), round(float(y), 9)) for s in strips if s.alive for t, y in s.points if t in (s.points[0, 0], 40.0)
+    }
+    assert drawn <= wanted
+
+
+def test_layout_by_hand():
+    """Of three particles the last dies in the second step; the first has two children there, and lives on in both."""
+    tree = Genealogy.start(np.zeros((3, 3)))
+    tree = tree.grow(np.arange(3), np.zeros((3, 3))).grow(np.array([0, 0, 1]), np.zeros((3, 3)))
+    found = {tuple(map(tuple, s.points.round(6).tolist())): s for s in tree.layout()}
+    room = 3.0 + DEAD_ROOM + (1.0 - DEAD_ROOM) * 0.5 * (1.0 + DEAD_END)
+    a, b, c, d = (0.5 / room, 1.5 / room, 2.5 / room, (3.0 + room) / 2.0 / room)
+    middle = 0.5 * (a + b)
+    wanted = {
+        ((0.0, middle), (1.0, middle)): (0, 2, True),
+        ((1.0, middle), (2.0, a)): (0, 1, True),
+        ((1.0, middle), (2.0, b)): (0, 1, True),
+        ((0.0, c), (2.0, c)): (1, 1, True),
+        ((0.0, d), (1.0 + DEAD_END, d)): (2, 0, False),
+    }
+    rounded = {tuple((t, round(y, 6)) for t, y in points): what for points, what in wanted.items()}
+    assert {points: (s.founder, s.living, s.alive) for points, s in found.items()} == rounded
+
+
+def test_layout_of_a_long_run_of_many_is_small():
+    K, T = 1000, 5000
     rng = np.random.default_rng(4)
-    tree = Genealogy.start(np.zeros((K, 3)))
-    for _ in range(T):
-        tree = tree.grow(np.sort(rng.integers(K, size=K)), np.zeros((K, 3)))
-    strips = tree.layout(max_particles=50, max_steps=40)
-    assert min(s.points[0, 0] for s in strips) == 20
+    s, quiet = np.zeros((K, 3)), np.arange(K)
+    tree = Genealogy.start(s)
+    for t in range(T):
+        tree = tree.grow(np.sort(rng.integers(K, size=K)) if t % 5 == 0 else quiet, s)
+    strips = tree.layout(max_particles=50)
     assert sum(s.points[-1, 0] == T for s in strips) == 50
     assert 50 <= len(strips) <= 4 * 50
-    assert sum(len(s.points) for s in strips) < 2 * 50 * 41
+    assert sum(len(s.points) for s in strips) < 800
 
 
 def test_layout_gives_only_the_ends_of_straight_lines():
@@ -358,7 +443,32 @@ def test_layout_gives_only_the_ends_of_straight_lines():
     assert len(strips) == 5
     for k, strip in enumerate(strips):
         np.testing.assert_allclose(strip.points, [[0, (k + 0.5) / 5], [30, (k + 0.5) / 5]])
-        assert (strip.root, strip.alive) == (k, True)
+        assert (strip.founder, strip.living, strip.alive) == (k, 1, True)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_founders_and_what_they_are_named_after(seed):
+    naive, tree = build(seed)
+    founders = naive.founders()
+    np.testing.assert_array_equal(tree.founders, founders[-1])
+    assert sum(len(set(names)) > 1 and names == list(range(len(names))) for names in founders) > 1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_distinct_ancestors_at_some_lags(seed):
+    naive = tree = None
+    for a, s in random_history(seed, 60, 15):
+        if naive is None or tree is None:
+            naive, tree = Naive(s), Genealogy.start(s)
+            continue
+        naive.grow(a, s)
+        tree = tree.grow(a, s)
+        every = naive.distinct()
+        lags = [0, 1, 3, 10, 40, 1000]
+        np.testing.assert_array_equal(tree.distinct(lags), [every[min(lag, len(every) - 1)] for lag in lags])
+    with pytest.raises(ValueError, match="lags"):
+        tree.distinct([3, -1])
+    assert tree.distinct([]).shape == (0,)
 
 
 def test_what_does_not_fit_is_refused_and_harms_nothing():

@@ -99,6 +99,15 @@ class Naive(NamedTuple):
                     n[k, i] = m["tag"].index(tag)
         return n
 
+    def hypotheses(self) -> tuple[list[int], list[int]]:
+        """By feature: how many copies differ, and how many maps have it."""
+        copies, holders = [], []
+        for j in range(max((len(m["tag"]) for m in self.maps), default=0)):
+            there = [m for m in self.maps if j < len(m["tag"]) and m["tag"][j] is not None]
+            copies.append(len({(m["theta"][j].tobytes(), m["Sigma"][j].tobytes()) for m in there}))
+            holders.append(len(there))
+        return copies, holders
+
 
 def naive(K: int) -> Naive:
     return Naive([{"theta": [], "Sigma": [], "tag": []} for _ in range(K)])
@@ -119,6 +128,8 @@ def assert_same(maps: Maps, model: Naive) -> None:
         np.testing.assert_array_equal(tags, [m["tag"][j] for j in there])
         np.testing.assert_array_equal(maps.indices(k), there)
         np.testing.assert_array_equal(maps.tags(k), [UNKNOWN_TAG if tag is None else tag for tag in m["tag"]])
+    for found, wanted in zip(maps.hypotheses(), model.hypotheses(), strict=True):
+        np.testing.assert_array_equal(found, wanted)
 
 
 def values(rng: np.random.Generator, K: int, Z: int, dim: int) -> tuple[Floats, Floats]:
@@ -491,6 +502,39 @@ def test_empty_maps(K: int) -> None:
     owner, theta = maps.everything(100)
     assert owner.shape == (0,)
     assert theta.shape == (0, 2)
+
+
+def test_hypotheses_left_after_a_selection() -> None:
+    """Of six maps three copies of one and two of another live on; then one of them changes a feature."""
+    maps, _ = filled(6, 7)
+    copies, holders = maps.hypotheses()
+    np.testing.assert_array_equal(copies, np.full(7, 6))
+    np.testing.assert_array_equal(holders, np.full(7, 6))
+    left = maps.select(np.array([4, 4, 4, 1, 1]))
+    np.testing.assert_array_equal(left.hypotheses()[0], np.full(7, 2))
+    n = np.array([[NEW], [2], [NEW], [NEW], [NEW]])
+    theta, Sigma = values(np.random.default_rng(1), 5, 1, 2)
+    changed = left.replace(n, theta, Sigma)
+    np.testing.assert_array_equal(changed.hypotheses()[0], [2, 2, 3, 2, 2, 2, 2])
+    gone = changed.remove(np.array([[NEW], [2], [NEW], [3], [3]]))
+    np.testing.assert_array_equal(gone.hypotheses()[0], [2, 2, 2, 1, 2, 2, 2])
+    np.testing.assert_array_equal(gone.hypotheses()[1], [5, 5, 4, 3, 5, 5, 5])
+
+
+@pytest.mark.parametrize("which", range(5))
+def test_a_hypothesis_is_another_one_if_any_number_differs(which: int) -> None:
+    """x, y, and the three numbers of Sigma; by the last bit."""
+    maps, _ = filled(3, 1)
+    theta, Sigma = maps.take(np.zeros((3, 1), np.int64))
+    theta[:], Sigma[:] = theta[0], Sigma[0]
+    same = maps.replace(np.zeros((3, 1), np.int64), theta, Sigma)
+    assert same.hypotheses()[0] == [1]
+    if which < 2:
+        theta[1, 0, which] = np.nextafter(theta[1, 0, which], 1e9)
+    else:
+        i, j = ((0, 0), (0, 1), (1, 1))[which - 2]
+        Sigma[1, 0, i, j] = Sigma[1, 0, j, i] = np.nextafter(Sigma[1, 0, i, j], 1e9)
+    assert maps.replace(np.zeros((3, 1), np.int64), theta, Sigma).hypotheses()[0] == [2]
 
 
 def test_everything_of_a_few() -> None:

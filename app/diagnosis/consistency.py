@@ -1,0 +1,112 @@
+"""Whether a filter knows how wrong it is: its errors beside its covariance, its innovations beside what it expected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from app.diagnosis.causes import components
+from app.diagnosis.findings import Case, Finding, percent
+from slam.metrics import nees_interval
+from slam.types import Bools, Floats
+
+LEAST = 10
+"""Steps below which nothing is said."""
+
+TOO_MANY = 0.25
+"""Share above the band from which on a filter is called overconfident.  Ten times what is expected: errors of one run
+last for many steps, so that far more than 2.5 % may be above it by bad luck alone."""
+
+SIGNIFICANT = 4.0
+"""Deviations from 1 of a mean squared innovation, from which on it is no accident."""
+
+MATTERS = 1.5
+"""Factor between expected and actual squared innovation below which nobody needs to care."""
+
+
+def findings(case: Case) -> list[Finding]:
+    """Of the errors, and of the innovations."""
+    return [*_errors(case), *_innovations(case)]
+
+
+def _errors(case: Case) -> list[Finding]:
+    nees, steps = case.record["nees_position"], case.record.steps
+    there = ~np.isnan(nees)
+    if there.sum() < LEAST:
+        return []
+    low, high = nees_interval(2)
+    above, below = float((nees[there] > high).mean()), float((nees[there] < low).mean())
+    numbers = {"above": above, "below": below, "median": float(np.median(nees[there])), "band": high}
+    text = (
+        f"The NEES of the position is above its 95 % band in {percent(above)} of the steps (expected: 2.5 %), and its"
+    )
+    text += f" median is {numbers['median']:.3g} (expected: 1.39)"
+    if above < TOO_MANY:
+        kind = "consistent" if below < TOO_MANY else "cautious"
+        more = ": no sign of overconfidence" if kind == "consistent" else ": errors are smaller than it believes"
+        return [Finding("consistency", kind, f"{text}{more}. One run says little; more seeds say more.", (), numbers)]
+    lasting = np.flatnonzero(_lasting(nees[there] > high))
+    since = int(steps[there][lasting[0]]) if len(lasting) else 0
+    text += ": it is overconfident" + (f", from step {since} on for at least {LEAST} steps" if since else "")
+    infinite = float(np.isinf(nees[there]).mean())
+    if infinite > 0.0:
+        text += f"; in {percent(infinite)} its particles agree on one pose altogether"
+    return [Finding("consistency", "overconfident", text + ".", (since,) if since else (), numbers, warns=True)]
+
+
+def _lasting(above: Bools) -> Bools:
+    """(T,) where the next `LEAST` steps are all so."""
+    if len(above) < LEAST:
+        return np.zeros(len(above), bool)
+    return np.convolve(above, np.ones(LEAST), "valid") >= LEAST
+
+
+def _innovations(case: Case) -> list[Finding]:
+    record, found = case.record, []
+    for name, what in zip(("nis_first", "nis_second"), components(case), strict=True):
+        ratio, deviations, count = mean_ratio(record[name], record["matched"])
+        if count < LEAST:
+            continue
+        numbers = {"ratio": ratio, "deviations": deviations, "steps": float(count)}
+        if deviations > SIGNIFICANT and ratio > MATTERS:
+            text = f"The squared innovations of {what} are {ratio:.2g} times what the filter expects, {deviations:.0f}"
+            text += (
+                f" standard deviations above 1: it takes itself or the sensor for {math.sqrt(ratio):.2g} times better"
+            )
+            text += " than they are."
+            found.append(Finding("consistency", f"{what} off", text, (), numbers, warns=True))
+        elif deviations < -SIGNIFICANT and ratio < 1.0 / MATTERS:
+            text = f"The squared innovations of {what} are {ratio:.2g} of what the filter expects"
+            text += _on_purpose(case)
+            found.append(Finding("consistency", f"{what} cautious", text, (), numbers))
+        else:
+            text = f"The squared innovations of {what} are {ratio:.2g} times what is expected: as they should be."
+            found.append(Finding("consistency", f"{what} as expected", text, (), numbers))
+    return found
+
+
+def _on_purpose(case: Case) -> str:
+    inflated = float(case.params.get("inflate_r", 1.0))
+    if inflated > 1.0:
+        floors = " and floors" if case.walls else ""
+        return f": known features are allowed more than the noise of the sensor, by inflate_r {inflated:g}{floors}."
+    return ": it believes itself or the sensor to be worse than it is, and wastes what it sees."
+
+
+def mean_ratio(ratios: Floats, weights: Floats) -> tuple[float, float, int]:
+    """Mean of squared innovations over their expectation, by how many there were in each step; how many standard
+    deviations that is from 1; and in how many steps there were any.
+
+    Those of one step count as one, since they may share the error of the pose.  The deviation is that of a chi-square
+    with one degree of freedom or that of the ratios themselves, whichever is larger.
+    """
+    there = np.isfinite(ratios) & (weights > 0.0)
+    count = int(there.sum())
+    if count == 0:
+        return math.nan, math.nan, 0
+    w = weights[there] / weights[there].sum()
+    ratio = float(w @ ratios[there])
+    own = float(np.sqrt(w @ (ratios[there] - ratio) ** 2)) if ratio > 1.0 else 0.0
+    deviation = max(math.sqrt(2.0), own) * math.sqrt(float(w @ w))
+    return ratio, (ratio - 1.0) / deviation, count

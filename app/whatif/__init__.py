@@ -1,0 +1,1 @@
+"""`dualslam whatif`: a recorded run again from one of its steps, with other parameters, beside itself."""

@@ -1,0 +1,287 @@
+"""From a recording back to its session: the source, what held from which step on, and the numbers that it plotted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+
+from app import session
+from app.compare.runs import CHANGED, root_of
+from app.errors import UsageError, listed, sentence
+from app.recording import texts
+from app.recording.metrics import METRICS
+from app.recording.reading import Recording
+from app.run import SessionOptions, options_of_command
+from app.session import Change
+from app.sources import LogParts, load
+from app.types import SessionInfo, SessionStep
+from app.whatif.settings import Values, values_of, with_values
+from scenarios.registry import build, worlds
+from scenarios.types import Source, SourceError
+from slam.estimators import ESTIMATORS
+from slam.types import Floats, Noise, Params
+
+CLOCKS = ("update_ms",)
+"""What is another number each time."""
+
+LAST_BITS = 1e-6
+"""Relative, and absolute below 1: differences up to here are those of rounding, on another machine."""
+
+
+class Departure(NamedTuple):
+    """Where a run is not what was recorded."""
+
+    step: int
+    what: str
+    """The number, for people."""
+    recorded: float
+    computed: float
+
+    @property
+    def small(self) -> bool:
+        """Whether only the last bits differ."""
+        size = max(1.0, abs(self.recorded), abs(self.computed))
+        return abs(self.recorded - self.computed) <= LAST_BITS * size  # false for NaN and infinity
+
+
+class Recorded:
+    """The numbers of a run as they were plotted, exactly; and where the robot was, in single precision."""
+
+    def __init__(self) -> None:
+        self._plots: dict[tuple[str, str], dict[int, float]] = {}
+        self._truth: dict[int, Floats] = {}
+
+    def add(self, recording: Recording, root: str, first: int, last: float) -> None:
+        """Steps `first` to `last` of the run itself, or of a branch."""
+        for key in ESTIMATORS:
+            for metric in METRICS:
+                entity = f"{root}plots/{metric.name}/{key}"
+                if metric.name in CLOCKS or "step" not in recording.timelines(entity):
+                    continue
+                found = zip(*map(np.ndarray.tolist, recording.series(entity)), strict=True)
+                there = {step: value for step, value in found if first <= step <= last}
+                if there:
+                    self._plots.setdefault((key, metric.name), {}).update(there)
+        for step, (points, *_) in recording.points(f"{root}world/truth/robot", "Points3D:positions").items():
+            if first <= step <= last and len(points):
+                self._truth[step] = points[0]
+
+    @property
+    def keys(self) -> list[str]:
+        """Of the filters that were ever on."""
+        there = {key for key, _ in self._plots}
+        return [key for key in ESTIMATORS if key in there]
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The first and the last step."""
+        steps = [step for (_, metric), plot in self._plots.items() if metric == "n_eff" for step in plot]
+        return min(steps), max(steps)
+
+    def departure(self, step: SessionStep) -> Departure | None:
+        """What is not as it was recorded: the largest difference, if there are several; None if all is the same."""
+        found = [*self._moved(step)]
+        for (key, name), plot in self._plots.items():
+            if step.index in plot and key in step.filters:
+                value = float(_METRICS[name].value(step.filters[key]))
+                was = plot[step.index]
+                if value != was and not (np.isnan(value) and np.isnan(was)):
+                    what = f"{name.replace('_', ' ')} of {ESTIMATORS[key].title}"
+                    found.append(Departure(step.index, what, was, value))
+        return min(found, key=lambda departure: departure.small, default=None)
+
+    def _moved(self, step: SessionStep) -> list[Departure]:
+        was = self._truth.get(step.index)
+        if was is None or step.truth is None:
+            return []
+        now = step.truth[:2].astype(np.float32)
+        pairs = zip(("x", "y"), was.tolist(), now.tolist(), strict=True)
+        return [Departure(step.index, f"{name} of the robot", a, b) for name, a, b in pairs if a != b]
+
+
+_METRICS = {metric.name: metric for metric in METRICS}
+
+
+class Origin(NamedTuple):
+    """A session that was recorded, from its very first step."""
+
+    path: Path
+    branch: str
+    info: SessionInfo
+    """As it begins."""
+    changes: list[Change]
+    """All that holds from which step on, in order; the first is for step 1."""
+    recorded: Recorded
+    versions: dict[str, str]
+    """That it was made with."""
+    places: list[str]
+    """Files that it was made of."""
+    damaged: bool
+
+    @property
+    def last(self) -> int:
+        """The last step that was recorded."""
+        return self.recorded.span[1]
+
+    def at(self, step: int) -> Change:
+        """What holds in a step."""
+        return [change for change in self.changes if change.step <= step][-1]
+
+    def apart(self, departure: Departure) -> str:
+        """That this is another run than the one that was recorded, and why that may be."""
+        return f"{self.path} cannot be run again: {_told(departure)}; perhaps {listed(self._reasons())}"
+
+    def differs(self, departure: Departure) -> str:
+        """The same where it does no harm: of the last bits, or after the fork."""
+        if departure.small:
+            return f"only the last bits differ from those recorded, but they do: {_told(departure)}"
+        return f"{_told(departure)}: both ways are told of as they are computed here"
+
+    def _reasons(self) -> list[str]:
+        here = texts.versions()
+        other = [
+            f"{name} {was} (here {here.get(name)})" for name, was in self.versions.items() if here.get(name) != was
+        ]
+        return [
+            *([f"it was made with {', '.join(other)}"] if other else []),
+            *(f"{place} has changed since" for place in self.places),
+            "it was made on another kind of processor",
+        ]
+
+
+def _told(departure: Departure) -> str:
+    numbers = [f"{value:.6g}" for value in (departure.computed, departure.recorded)]
+    if numbers[0] == numbers[1]:
+        numbers = [f"{value!r}" for value in (departure.computed, departure.recorded)]
+    return (
+        f"at step {departure.step} it departs from what was recorded, the {departure.what} is {numbers[0]} instead of "
+        f"{numbers[1]}"
+    )
+
+
+def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
+    """The session that a recording, or one of its branches, was made by; `place` is where its world file or log is now.
+
+    Raises `RecordingError`, `UsageError`, `SourceError`: each a sentence.
+    """
+    recording = Recording(path)
+    branches = recording.branches()
+    if branch and branch not in branches:
+        has = f"it has {', '.join(branches)}" if branches else "it has none"
+        raise UsageError(f"{path} has no branch {branch!r}; {has}")
+    told = recording.params()
+    recorded, changes = _line(recording, branch)
+    if not recorded.keys:
+        raise UsageError(f"{path} has no step of any filter; nothing can be run again")
+    source, places = _source(told, path, place)
+    last = recorded.span[1]
+    if last > len(source.steps):
+        raise UsageError(
+            f"{path} has {last} steps, and {source.name} {len(source.steps)}: it is not what was recorded any more"
+        )
+    mistake = told.get("mistake") or ""
+    filters = session.estimators(recorded.keys, mistake)
+    first = changes[0]
+    steps = min(max(int(told["steps"]), last), len(source.steps))
+    info = session.make_info(source, filters, first.params, first.noise, int(told["seed"]), steps, told["command"])
+    info = info._replace(mistake=mistake)
+    return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged)
+
+
+def _line(recording: Recording, branch: str) -> tuple[Recorded, list[Change]]:
+    """What was recorded of a branch and of those that it came from, and what held from which step on."""
+    way = [branch]
+    while way[0]:  # a recording of an earlier version does not say where a branch left: then it was the run itself
+        parent = recording.params(way[0]).get("parent", "")
+        way.insert(0, "" if parent in way else parent)
+    firsts = [1, *(_first_step(recording, name) for name in way[1:])]
+    recorded, changes = Recorded(), []
+    for name, first, end in zip(way, firsts, [*firsts[1:], np.inf], strict=True):
+        recorded.add(recording, root_of(name), first, end - 1)
+        changes += [change for change in _changes(recording, name, first) if change.step < end]
+    return recorded, changes
+
+
+def _first_step(recording: Recording, branch: str) -> int:
+    one = Recorded()
+    one.add(recording, root_of(branch), 1, np.inf)
+    if not one.keys:
+        raise UsageError(f"{recording.path} has no step of the branch {branch!r}; nothing can be run again")
+    return one.span[0]
+
+
+def _changes(recording: Recording, branch: str, first: int) -> list[Change]:
+    """Of a branch, or of the run itself: what it began with, and what its events tell."""
+    told = recording.params(branch)
+    now = Change(first, _made(Params, told["params"], recording.path), _made(Noise, told["noise"], recording.path))
+    found = {first: now}
+    for event in recording.events(f"{root_of(branch)}events"):
+        name, _, values = event.text.partition(CHANGED)[2].partition(": ")
+        if values and name != "filters":
+            now = with_values(now, {name: _value(now, name, values.partition(" -> ")[2], recording.path)})
+            found[event.step] = now = now._replace(step=event.step)
+    return list(found.values())
+
+
+def _made(kind: type[Any], told: Values, path: Path) -> Any:
+    """Parameters as they were recorded; those that an earlier version did not have are what they are by default."""
+    hints = get_type_hints(kind)
+    unknown = next((name for name in told if name not in hints), None)
+    if unknown is not None:
+        raise UsageError(f"{path} has the parameter {unknown!r}, which this version does not know")
+    inner = {name: _made(Noise, value, path) if isinstance(value, dict) else value for name, value in told.items()}
+    return kind(**inner)
+
+
+def _value(now: Change, name: str, text: str, path: Path) -> Any:
+    """A parameter as an event tells of it: numbers to the last bit."""
+    known = values_of(now)
+    try:
+        former = known[name]
+        if isinstance(former, bool):
+            return {"True": True, "False": False}[text]
+        return type(former)(text)
+    except (KeyError, ValueError):
+        raise UsageError(f"{path} says that {name} became {text!r}, which this version does not know") from None
+
+
+def _source(told: Values, path: Path, place: Path | None) -> tuple[Source, list[str]]:
+    """What the filters saw, and the files that it is made of."""
+    options, own = _typed(told)
+    name = options.source if options else ""
+    if place is None and (not name or name in worlds()):
+        if told["kind"] == "world" and told["world"] in worlds():
+            return build(told["world"], **told["options"]), []
+        raise UsageError(
+            f"{path} does not say how {told['world']} was made: its command is {told['command']!r}; expected --source "
+            "with the world file or log"
+        )
+    file = place or _there(name, path)
+    parts = LogParts(*vars(options.log).values()) if options else LogParts()
+    try:
+        source = load(str(file), own, parts)
+    except (OSError, SourceError, UsageError) as error:
+        raise UsageError(
+            f"{path} was made of {name or told['world']}, which cannot be read: {sentence(error)}"
+        ) from None
+    if source.name != told["world"] or not np.allclose(source.start, told["start"], rtol=0.0, atol=1e-9):
+        raise UsageError(f"{file} is not what {path} was made of: it begins elsewhere, or has another name")
+    return source, [str(file), *(str(part) for part in [parts.reference] if part)]
+
+
+def _typed(told: Values) -> tuple[SessionOptions | None, dict[str, str]]:
+    """What the command line asked for that began the session; None if there was none."""
+    try:
+        return options_of_command(told["command"])
+    except UsageError:
+        return None, {}
+
+
+def _there(name: str, path: Path) -> Path:
+    """A file by the name that was typed, from here or beside the recording."""
+    for found in (Path(name).expanduser(), path.parent / name):
+        if found.exists():
+            return found
+    raise UsageError(f"{path} was made of {name}, which is not there; expected --source with its new place")

@@ -1,0 +1,415 @@
+"""Diagnoses: evidence that is what the filters did, words that are what the evidence says, and what they promise."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app import cli, session
+from app.diagnosis.advice import findings as advice
+from app.diagnosis.ancestry import ENOUGH, losses, particles_for, since_resampling
+from app.diagnosis.causes import causes, kind_of, of_the_shape
+from app.diagnosis.collecting import Collector
+from app.diagnosis.consistency import findings as consistency
+from app.diagnosis.consistency import mean_ratio
+from app.diagnosis.diagnose import diagnose
+from app.diagnosis.evidence import Numbers, Observations, record_of
+from app.diagnosis.findings import Case, Diagnosis, percent
+from app.diagnosis.reading import read_cases
+from app.diagnosis.words import as_dict, commands, markdown
+from app.live.diagnoses import NOTHING, Diagnoses
+from app.live.engine import Engine
+from app.recording import Recorder
+from app.recording.reading import Recording
+from app.types import SessionStep
+from scenarios.registry import build
+from slam.estimators import ESTIMATORS
+from slam.types import Params
+
+
+def collected(world: str, key: str, seed: int = 0, steps: int | None = None, **params: Any) -> Case:
+    source, collector = build(world), Collector()
+    chosen = source.params(**({"particles": 100} | params))
+    session.run(session.make_info(source, [ESTIMATORS[key]], chosen, None, seed, steps), [collector])
+    return collector.cases()[0]
+
+
+def made(seen: list[Observations] | None = None, **columns: Any) -> Case:
+    """A case with these numbers, (T,) or one for all; usual ones where none are given."""
+    T = max((len(c) for c in columns.values() if np.ndim(c)), default=20)
+    usual = dict.fromkeys(Numbers._fields, 0.0) | {"particles": 100.0, "diversity": 1.0, "n_eff": 100.0, "inside": 1.0}
+    usual |= {"matched": 2.0, "observed": 2.0, "nis_first": 1.0, "nis_second": 1.0, "nees_position": 1.4}
+    rows = np.array([np.broadcast_to(np.asarray(value, float), T) for value in (usual | columns).values()]).T
+    nothing = Observations(np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
+    record = record_of(np.arange(1, T + 1), Numbers._fields, rows, seen or [nothing] * T)
+    return Case("dfs", "Dual FastSLAM", False, dataclasses.asdict(Params()), record)
+
+
+@pytest.fixture(scope="module")
+def joint() -> Case:
+    return collected("paper-line", "dfs", weighting="joint")
+
+
+@pytest.fixture(scope="module")
+def run() -> tuple[list[SessionStep], Case]:
+    source, collector = build("paper-line"), Collector()
+    info = session.make_info(source, [ESTIMATORS["fs2"]], source.params(particles=20), None, 3)
+    steps = list(session.steps(info))
+    collector.begin(info)
+    for step in steps:
+        collector.step(step)
+    return steps, collector.cases()[0]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[Case]]:
+    path = tmp_path_factory.mktemp("diagnosis") / "a.rrd"
+    source, collector = build("paper-line"), Collector()
+    chosen = source.params(particles=30)
+    info = session.make_info(source, [ESTIMATORS[k] for k in ("dfs", "ekf")], chosen, None, 2)
+    session.run(info, [Recorder(path), collector])
+    return path, collector.cases()
+
+
+class TestEvidence:
+    """Against what is computed anew from the traces."""
+
+    def test_pairs_with_one_parent_are_counted(self, run: tuple[list[SessionStep], Case]) -> None:
+        steps, case = run
+        assert any(step.filters["fs2"].trace.did_resample for step in steps)
+        for step, related, survivors in zip(steps, case.record["related"], case.record["survivors"], strict=True):
+            parents = step.filters["fs2"].trace.ancestors.tolist()
+            pairs = [(i, j) for i in range(20) for j in range(20) if i != j]
+            assert related == pytest.approx(sum(parents[i] == parents[j] for i, j in pairs) / len(pairs))
+            assert survivors == len(set(parents))
+
+    def test_weights_before_and_after(self, run: tuple[list[SessionStep], Case]) -> None:
+        steps, case = run
+        for step, before, after in zip(steps, case.record["n_eff_before"], case.record["n_eff"], strict=True):
+            trace = step.filters["fs2"].trace
+            assert before == pytest.approx(1.0 / (np.exp(trace.predicted.log_w) ** 2).sum())
+            assert after == trace.n_eff
+
+    def test_widths_are_sensor_sharp_once_the_pose_is_fixed(self, joint: Case) -> None:
+        """At step 2 of the paper's line: 3 landmarks in sight, one after the other."""
+        seen = joint.record.observations[1]
+        assert seen.widths[0] > 10.0
+        assert 1.0 <= seen.widths[2] < 1.5
+        assert of_the_shape(seen).tolist() == [False, False, True]
+
+    def test_a_filter_that_is_switched_on_late_has_its_own_steps(self, run: tuple[list[SessionStep], Case]) -> None:
+        steps, _ = run
+        collector = Collector()
+        collector.start(Params(), False)
+        for step in steps[10:15]:
+            collector.step(step)
+            collector.step(step)  # once more, as after going back
+        assert collector.cases()[0].record.steps.tolist() == [11, 12, 13, 14, 15]
+        later = Collector()
+        later.start(Params(), False, collector, until=13)
+        assert later.cases()[0].record.steps.tolist() == [11, 12, 13]
+        assert collector.cases(until=12)[0].record.steps.tolist() == [11, 12]
+
+
+class TestShape:
+    """Which observations tell of the map's shape only."""
+
+    @staticmethod
+    def seen(*widths: float) -> Observations:
+        return Observations(np.zeros(len(widths)), np.zeros(len(widths), np.int64), np.array(widths))
+
+    @pytest.mark.parametrize(
+        ("widths", "expected"),
+        [
+            ((18.0, 4.0, 1.2), [False, False, True]),
+            ((18.0, 4.0), [False, False]),
+            ((18.0, 23.0, 24.0), [False, False, False]),  # all at the predicted pose
+            ((1.1, 1.1, 1.0, 1.1), [False] * 4),  # no uncertain pose at all: FastSLAM 1.0
+            ((math.nan, 18.0, 4.0, math.nan, 1.2), [False, False, False, False, True]),
+            ((), []),
+        ],
+    )
+    def test_third_and_later_ones_that_are_sharp(self, widths: tuple[float, ...], expected: list[bool]) -> None:
+        assert of_the_shape(self.seen(*widths)).tolist() == expected
+
+
+class TestCauses:
+    def test_shares_are_weighed_by_the_variance_of_their_steps(self) -> None:
+        seen = [
+            Observations(np.array([0.25, 0.75]), np.array([4, 7]), np.array([9.0, 9.0])),
+            Observations(np.array([1.0]), np.array([7]), np.array([9.0])),
+        ]
+        case = made(seen, deviation=np.array([1.0, 2.0]), first=np.array([0.0, 1.0]), second=np.array([1.0, 0.0]))
+        found = causes(case.record, slice(None))
+        assert found.variance == 5.0
+        assert (found.first, found.second) == pytest.approx((0.8, 0.2))
+        assert list(found.features) == [7, 4]
+        assert found.features[7] == pytest.approx(0.2 * 0.75 + 0.8)
+
+    @pytest.mark.parametrize(
+        ("columns", "kind"),
+        [
+            ({"unmatched": 0.6, "first": 0.4}, "what was not matched"),
+            ({"drawn": 0.7, "first": 0.3}, "draw of the pose"),
+            ({"wide_second": 5.0, "second": 1.0}, "proposal wider than the sensor"),
+            ({"first": 1.0}, "observations"),
+        ],
+    )
+    def test_kinds(self, columns: dict[str, Any], kind: str) -> None:
+        assert kind_of(causes(made(deviation=1.0, **columns).record, slice(None))) == kind
+
+    def test_a_loss_is_traced_back_to_the_resampling_before(self) -> None:
+        record = made(resampled=np.array([0, 0, 1, 0, 0, 1, 0])).record
+        assert [since_resampling(record, i) for i in (2, 5, 6)] == [slice(0, 3), slice(3, 6), slice(6, 7)]
+
+    def test_the_feature_that_decides_is_named(self) -> None:
+        seen = [Observations(np.array([0.9, 0.1]), np.array([7, 3]), np.array([9.0, 9.0]))] * 3
+        diversity = np.array([1.0, 0.3, 0.3])
+        case = made(seen, deviation=1.0, first=1.0, diversity=diversity, resampled=np.array([0, 1, 0]), n_eff=30.0)
+        texts = [f.text for f in diagnose(case).findings if f.kind.startswith("loss")]
+        assert len(texts) == 1
+        assert texts[0].startswith("Step 2: founders 100 to 30, N_eff 30 of 100; ")
+        assert "feature 7 90 %" in texts[0]
+        assert "100 % is by ranges" in texts[0]
+
+
+class TestAncestry:
+    def test_the_coalescent_tells_how_many_founders_are_left(self) -> None:
+        """By simulation: 40 resamplings of 200 equal particles, multinomial."""
+        rng, left, expected = np.random.default_rng(1), [], []
+        for _ in range(30):
+            lineage, related, K = np.arange(200), [], 200
+            for _ in range(40):
+                parents = rng.integers(0, K, K)
+                lineage = lineage[parents]
+                children = np.bincount(parents)
+                related.append(float(children @ (children - 1.0)) / (K * (K - 1.0)))
+            left.append(len(set(lineage.tolist())))
+            case = made(related=np.array(related), particles=200.0, diversity=left[-1] / 200.0)
+            expected.append(losses(case.record).expected())
+        assert np.mean(left) == pytest.approx(np.mean(expected), rel=0.1)
+
+    def test_as_many_particles_keep_as_many_founders(self) -> None:
+        K = particles_for(12.0, 30.0)
+        tau = 30.0 / K
+        assert 1.0 / (1.0 - math.exp(-tau / 2.0)) == pytest.approx(12.0)
+
+    def test_when_half_were_gone(self) -> None:
+        case = made(diversity=np.array([1.0, 0.8, 0.5, 0.2, 0.1, 0.1]))
+        founders = diagnose(case).findings[0]
+        assert founders.text.startswith("10 of 100 founders are left after step 6; half were gone by step 3, 90 % were")
+        assert founders.steps == (3, 5)
+        assert founders.warns
+
+    def test_one_particle_has_no_diversity(self) -> None:
+        kinds = diagnose(collected("paper-line", "ekf", particles=1)).kinds()
+        assert "founders" not in kinds
+        assert not {kind for kind in kinds if "particles" in kind}
+
+
+class TestConsistency:
+    def test_innovations_of_a_right_filter_pass_and_of_a_wrong_one_do_not(self) -> None:
+        rng = np.random.default_rng(0)
+        for factor, expected in ((1.0, "ranges as expected"), (3.0, "ranges off"), (0.3, "ranges cautious")):
+            nis = factor * rng.chisquare(1, 200)
+            kinds = {f.kind for f in consistency(made(nis_first=nis, nis_second=rng.chisquare(1, 200)))}
+            assert expected in kinds
+            assert "bearings as expected" in kinds
+
+    def test_false_alarms_are_rare(self) -> None:
+        rng = np.random.default_rng(1)
+        ratios = [mean_ratio(rng.chisquare(1, 60), np.ones(60)) for _ in range(300)]
+        assert sum(abs(deviations) > 4.0 and ratio > 1.5 for ratio, deviations, _ in ratios) <= 1
+
+    def test_overconfidence(self) -> None:
+        nees = np.concatenate([np.full(10, 1.0), np.full(20, 9.0)])
+        found = consistency(made(nees_position=nees, nis_first=1.0, nis_second=1.0))
+        assert found[0].kind == "overconfident"
+        assert found[0].steps == (11,)
+        assert "67 %" in found[0].text
+        assert (
+            consistency(made(nees_position=np.full(30, math.nan), nis_first=np.full(30, 1.0)))[0].kind
+            != "overconfident"
+        )
+
+    def test_a_cautious_filter_is_told_why_if_that_was_asked_for(self) -> None:
+        case = made(nis_first=np.full(80, 0.2))
+        inflated = case._replace(params={**case.params, "inflate_r": 9.0})
+        texts = [next(f.text for f in consistency(c) if f.kind == "ranges cautious") for c in (case, inflated)]
+        assert "worse than it is" in texts[0]
+        assert "by inflate_r 9" in texts[1]
+
+
+class TestAdvice:
+    def test_particles_by_the_numbers(self) -> None:
+        related = np.full(20, 0.02)  # tau 0.4: 5.5 of 100 founders are expected, and 5 are left
+        found = advice(made(related=related, diversity=0.05), [])[0]
+        assert found.kind == "more particles"
+        assert found.numbers["particles"] == math.ceil(3.0 * 40.0 / (-2.0 * math.log(0.9)) / 10.0) * 10
+        assert found.tries == (f"--from 1 --set particles={found.numbers['particles']:.0f}",)
+
+    def test_in_vain(self) -> None:
+        found = advice(made(related=np.full(20, 0.9), diversity=0.01), [])[0]
+        assert (found.kind, found.tries) == ("more particles in vain", ())
+
+    def test_weights_that_are_inherited(self) -> None:
+        found = advice(made(related=np.full(20, 0.005), diversity=0.02), [])[0]  # 18 are expected
+        assert found.kind == "more particles at least"
+        assert found.numbers["particles"] >= 100.0 * 3.0 * ENOUGH / 2.0
+
+    def test_enough(self) -> None:
+        assert advice(made(related=np.full(20, 0.001), diversity=0.5), [])[0].kind == "enough particles"
+
+    def test_commands(self, joint: Case) -> None:
+        lines = [line for f in diagnose(joint).findings for line in commands(f, "a.rrd")]
+        assert "dualslam whatif a.rrd --from 1 --set weighting=marginal" in lines
+
+
+class TestCases:
+    """What the diagnoses of real runs say; `dualslam study diagnosis` has the rates of more of them."""
+
+    def test_the_shape_of_the_map_depletes_joint_weights_and_not_marginal_ones(self) -> None:
+        named = {"joint": 0, "marginal": 0}
+        for weighting in named:
+            for seed in range(300, 306):
+                found = diagnose(collected("paper-line", "dfs", seed, weighting=weighting))
+                named[weighting] += "shape of the map" in found.kinds()
+                if weighting == "joint":
+                    loss = next(f for f in found.findings if f.kind == "loss: shape of the map")
+                    seen = found.case.record["observed"][loss.steps[0] - 1]
+                    assert seen >= 3.0
+        assert named["joint"] >= 5
+        assert named["marginal"] == 0
+
+    def test_fastslam1_starves_on_a_sharp_sensor_and_more_particles_are_in_vain(self) -> None:
+        found = diagnose(collected("paper-line", "fs1", 300))
+        assert {
+            "proposal wider than the sensor",
+            "more particles in vain",
+            "depleted",
+            "better proposal",
+        } <= found.kinds()
+        more = diagnose(collected("paper-line", "fs1", 1300, particles=1000))
+        assert _founders(more) < ENOUGH
+
+    def test_as_many_particles_as_it_asks_for_keep_the_founders(self) -> None:
+        kept = 0
+        for seed in range(300, 306):
+            found = diagnose(collected("paper-line", "fs2", seed, particles=30))
+            asked = next(f for f in found.findings if f.kind.startswith("more particles"))
+            assert _founders(found) < ENOUGH
+            then = collected("paper-line", "fs2", seed + 1000, particles=int(asked.numbers["particles"]))
+            kept += _founders(diagnose(then)) >= ENOUGH
+        assert kept >= 5
+
+
+def _founders(found: Diagnosis) -> float:
+    return next(f for f in found.findings if f.kind == "founders").numbers["founders_left"]
+
+
+class TestRecordings:
+    def test_a_recording_says_the_same_as_its_session(self, recorded: tuple[Any, list[Case]]) -> None:
+        path, cases = recorded
+        read = read_cases(path)
+        assert [case.key for case in read.cases] == ["dfs", "ekf"]
+        for case, own in zip(read.cases, cases, strict=True):
+            for name in Numbers._fields:
+                np.testing.assert_array_equal(case.record[name], own.record[name])
+            for a, b in zip(case.record.observations, own.record.observations, strict=True):
+                assert all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
+            assert as_dict(diagnose(case)) == as_dict(diagnose(own))
+
+    def test_text_and_json(self, recorded: tuple[Any, list[Case]], tmp_path: Any, capsys: Any) -> None:
+        path, cases = recorded
+        out = tmp_path / "out.json"
+        assert cli.entry(["diagnose", str(path), "--json", str(out)]) == 0
+        text, told = capsys.readouterr().out, json.loads(out.read_text())
+        assert text.startswith("paper-line, seed 2, step 59 of 59\n")
+        assert list(told["filters"]) == ["dfs", "ekf"]
+        for finding in told["filters"]["dfs"]["findings"]:
+            assert finding["text"] in text
+        assert told["filters"]["dfs"] == as_dict(diagnose(cases[0]))
+
+    def test_one_without_evidence_says_what_is_missing(
+        self, recorded: tuple[Any, list[Case]], monkeypatch: Any
+    ) -> None:
+        path, cases = recorded
+        plain = Recording._rows
+
+        def without(self: Recording, entity: str, *rest: Any) -> Any:
+            return [] if entity.startswith("/evidence") else plain(self, entity, *rest)
+
+        monkeypatch.setattr(Recording, "_rows", without)
+        found = diagnose(read_cases(path).cases[0])
+        assert {"founders", "evidence"} <= found.kinds()
+        assert not {"observations", "shape of the map", "more particles", "enough particles"} & found.kinds()
+        assert _founders(found) == _founders(diagnose(cases[0]))
+
+    def test_a_cut_one_is_read_up_to_there(self, tmp_path: Any, capsys: Any) -> None:
+        source, path = build("paper-line"), tmp_path / "cut.rrd"
+        info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=30), None, 2)
+        recorder = Recorder(path)
+        recorder.begin(info)
+        for step in list(session.steps(info))[:30]:
+            recorder.step(step)
+        recorder.end()
+        path.write_bytes(path.read_bytes()[:-5000])
+        assert cli.entry(["diagnose", str(path)]) == 0
+        captured = capsys.readouterr()
+        assert "is damaged: it is read as far as that goes, to step" in captured.err
+        assert "Dual FastSLAM" in captured.out
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (["diagnose"], "diagnose needs a recording"),
+            (["diagnose", "nothing.rrd"], "nothing.rrd cannot be read"),
+            (["diagnose", "README.md"], "README.md is no Rerun recording"),
+            (["diagnose", "nothing.rrd", "--json", "nowhere/x.json"], "nowhere does not exist"),
+        ],
+    )
+    def test_bad_input(self, words: list[str], said: str, capsys: Any) -> None:
+        assert cli.entry(words) == 2
+        assert said in capsys.readouterr().err
+
+    def test_a_branch_that_is_not_there(self, recorded: tuple[Any, list[Case]], capsys: Any) -> None:
+        assert cli.entry(["diagnose", f"{recorded[0]}#six"]) == 2
+        assert "has no branch 'six'" in capsys.readouterr().err
+
+
+def test_live_it_follows_steps_and_branches() -> None:
+    source, diagnoses = build("paper-line"), Diagnoses()
+    info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=30, weighting="joint"), None, 2)
+    engine = Engine(info, [diagnoses])
+    assert diagnoses.of("", 0).text == NOTHING
+    engine.start()
+    engine.step(30)
+    engine.wait(lambda status: status.step == 30)
+    engine.go(10)
+    engine.wait(lambda status: status.step == 10)
+    engine.put({"weighting": "marginal"})
+    engine.fork("other")
+    engine.step(10)
+    engine.wait(lambda status: status.branch == "other" and status.step == 20)
+    engine.close(20.0)
+    told = diagnoses.of("", 30)
+    assert "#### Dual FastSLAM" in told.text
+    assert "shape of the map" in told.text
+    assert told.steps
+    assert max(told.steps) <= 30
+    collected_own = collected("paper-line", "dfs", 2, 30, particles=30, weighting="joint")
+    assert markdown([diagnose(collected_own)]) in told.text
+    assert "Up to step 20" in diagnoses.of("other", 20).text
+    assert diagnoses.of("other", 20).text != told.text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.0, "0 %"), (0.5, "50 %"), (0.0021, "0.21 %"), (1e-6, "less than 0.01 %")]
+)
+def test_shares_in_words(share: float, text: str) -> None:
+    assert percent(share) == text
