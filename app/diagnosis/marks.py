@@ -91,7 +91,7 @@ def marks_of(trace: Trace, frame: Frame, params: Params) -> Marks:
         needless=float(not wants_resampling(n_eff, K, params.resample_below)) if did else math.nan,
         first_lived=first_lived,
         first_expected=first_expected,
-        misplaced=_misplaced(np.exp(weighted.log_w), trace.selected, params) if did and K > 1 else math.nan,
+        misplaced=misplaced_first(np.exp(weighted.log_w), trace.selected, params) if did and K > 1 else math.nan,
     )
 
 
@@ -106,7 +106,7 @@ def _contradicted(before: Floats, after: Floats, log_p: Floats) -> float:
     return float((off.max() - off.min()) / (1.0 + np.abs(log_p[told]).max()))
 
 
-def _misplaced(w: Floats, selected: Ints, params: Params) -> float:
+def misplaced_first(w: Floats, selected: Ints, params: Params) -> float:
     """`Marks.misplaced`.  Systematic resampling has one random number u, and place j is given to the particle in whose
     share of the weights (j + u) / K lies: so each place says from where to where u is.  Residual resampling makes the
     whole part of the expected number of copies for certain."""
