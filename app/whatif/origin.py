@@ -191,10 +191,12 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
         raise UsageError(
             f"{path} has {last} steps, and {source.name} {len(source.steps)}: it is not what was recorded any more"
         )
-    filters = [ESTIMATORS[key] for key in recorded.keys]
+    mistake = told.get("mistake") or ""
+    filters = session.estimators(recorded.keys, mistake)
     first = changes[0]
     steps = min(max(int(told["steps"]), last), len(source.steps))
     info = session.make_info(source, filters, first.params, first.noise, int(told["seed"]), steps, told["command"])
+    info = info._replace(mistake=mistake)
     return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged)
 
 
