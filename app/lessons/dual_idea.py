@@ -64,7 +64,10 @@ a landmark is nearly as certain as the pose from which it was seen, and drawing 
 keeps what the robot does not know in P, where no resampling destroys it. With a coarse sensor it is the other
 way round: a map that is drawn from 30 cm of noise and frozen is wrong for ever, and most of them die. There
 is no free lunch, there is a better place to put the uncertainty.""",
-    measured="MEASURED",
+    measured="""\
+In 20 of 20 seeds (0 to 19). With the good sensor, the one in the middle, Dual FastSLAM ended with 16 to 76 %
+of its founders and FastSLAM 2.0 with 4 to 28 %. The weights of Dual FastSLAM are the paper's, marginal ones:
+with joint weights it depletes here, which is another lesson (`one-landmark-too-many`).""",
     variants=(
         Variant(GOOD, "paper-line --vehicle ackermann --filters dfs fs2"),
         Variant(BETTER, "paper-line --vehicle ackermann --filters dfs fs2 --noise.range 0.0003 --noise.bearing 0.0003"),

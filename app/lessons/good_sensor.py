@@ -55,7 +55,10 @@ precise. A better sensor makes it **worse** at keeping hypotheses: forty times a
 one. The pose error need not show it at once. What is lost are the other possible pasts, and with them the way
 back out of an error. Do not cure it by blaming the sensor: propose better (lesson `improved-proposal`), or do
 not sample the pose at all (lesson `dual-idea`).""",
-    measured="MEASURED",
+    measured="""\
+In 20 of 20 seeds (0 to 19). After five observations the coarse sensor left 44 to 100 % of the founders, the
+fine one a single founder in every run, with 25 particles as well as with 1000. Weights are kept as
+logarithms: it is not underflow.""",
     variants=(
         Variant(COARSE, "paper-line --filters fs1 --noise.range 0.3 --noise.bearing 1"),
         Variant(FINE, "paper-line --filters fs1"),

@@ -52,7 +52,10 @@ Looking before drawing takes the noise of the odometry out of the weights. What 
 map of a particle fits, and that still kills some at every resampling: FastSLAM 2.0 loses its past slowly, but
 it loses it, and faster the better the sensor is. Its particles forget what they do not know (P = 0 after
 every draw), so that only other particles can remember it.""",
-    measured="MEASURED",
+    measured="""\
+In 20 of 20 seeds (0 to 19). FastSLAM 2.0 had 36 to 100 % of its founders after ten observations and 4 to 28 %
+at the end; FastSLAM 1.0 one founder in every run. The error of FastSLAM 2.0 was smaller in the median (6
+against 8 cm), but not in every run: that is not what the lesson claims.""",
     variants=(
         Variant(FEW, "paper-line --vehicle ackermann --filters fs2 fs1"),
         Variant(MANY, "paper-line --vehicle ackermann --filters fs2 fs1 --particles 500"),

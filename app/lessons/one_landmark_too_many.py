@@ -64,7 +64,10 @@ the landmarks in view. Joint weights take them at face value, with the R of the 
 drawn triangle is nearest wins everything. Marginal weights hide it behind P; that is not the Bayes posterior,
 but with few particles it keeps hypotheses alive. Inflating R says openly what is true of a frozen map: it is
 wrong by more than the sensor is. Neither costs accuracy here.""",
-    measured="MEASURED",
+    measured="""\
+In 18 of 20 seeds (0 to 19); in the other two the run with 16 times R was sure of something wrong as well.
+After five observations one landmark left all founders in every run, two 16 to 52 %, three 8 to 32 %. That the
+inflated R costs no accuracy is true of these medians (error 9 cm, with 16 times R 6 cm), not of every run.""",
     variants=(
         Variant(ONE, "paper-line --layout one-far --filters dfs --weighting joint"),
         Variant(TWO, "paper-line --layout two-far --filters dfs --weighting joint"),

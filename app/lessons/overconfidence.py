@@ -48,7 +48,11 @@ N_eff is blind to what all particles have in common: a belief that is too good, 
 Right after a resampling it is K by definition. Overconfidence shows in NEES, where somebody knows the truth,
 and otherwise in the innovations (NIS) and the ancestry. A filter that is too sure is more dangerous than one
 with a larger error: whoever plans by it does not know that there is anything to be careful about.""",
-    measured="MEASURED",
+    measured="""\
+In 18 of 20 seeds (0 to 19); in the others the honest run was unlucky, or the sure one lucky. Errors of
+successive steps are nearly the same error, so that the NEES of one run, honest or not, is one throw of the
+dice: over the runs its median was 0.08 to 9.0 for the honest filter, 1.6 to 110 for the one that believes its
+wheels, 290 to 25000 with one founder left. To judge a filter take many runs.""",
     variants=(
         Variant(HONEST, "paper-line --layout sparse --filters dfs"),
         Variant(SURE, "paper-line --layout sparse --filters dfs --believed.speed 0.1 --believed.turn 1"),

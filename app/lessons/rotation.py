@@ -53,7 +53,10 @@ particles are the only ones that know of it. The shape is not Gaussian in x and 
 what samples are good for. Thirty are enough for the width, since one angle is a single number to sample; but
 they must not be resampled away before something tells which of them is right, and nothing in the corridor
 does.""",
-    measured="MEASURED",
+    measured="""\
+In 20 of 20 seeds (0 to 19). At the end 30 maps said 3.9 to 9.3 m across, 300 maps 6.1 to 7.4 m, a single one
+5 cm. True errors were 0.3 to 21 m: in one run by itself NEES may be small or large, since the one error of
+the turn decides all of it.""",
     variants=(
         Variant(FEW, "rotation-then-corridor --filters dfs --particles 30"),
         Variant(ONE, "rotation-then-corridor --filters dfs --particles 1"),
