@@ -276,8 +276,9 @@ def _source(told: Values, path: Path, place: Path | None) -> tuple[Source, list[
         raise UsageError(
             f"{path} was made of {name or told['world']}, which cannot be read: {sentence(error)}"
         ) from None
-    if source.name != told["world"] or not np.allclose(source.start, told["start"], rtol=0.0, atol=1e-9):
-        raise UsageError(f"{file} is not what {path} was made of: it begins elsewhere, or has another name")
+    renamed = source.kind == "world" and source.name != told["world"]  # a log is called like its file
+    if renamed or source.kind != told["kind"] or not np.allclose(source.start, told["start"], rtol=0.0, atol=1e-9):
+        raise UsageError(f"{file} is not what {path} was made of: it is another world or log, or begins elsewhere")
     return source, [str(file), *(str(part) for part in [parts.reference] if part)]
 
 
