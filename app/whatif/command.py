@@ -10,13 +10,15 @@ import tyro
 
 from app import values
 from app.errors import UsageError
-from app.options import Outputs, default, named
+from app.options import Outputs, default
 from slam.limits import Interval
 
 if TYPE_CHECKING:
     from app.recording import Recorder
     from app.whatif.fork import Plan
     from app.whatif.origin import Origin
+
+MUST = "(must be given)"
 
 
 @dataclass(frozen=True)
@@ -32,11 +34,13 @@ class WhatIf:
 
     recording: Annotated[tyro.conf.Positional[str], values.word("FILE.rrd"), tyro.conf.arg(help_behavior_hint="")] = ""
     """A recording, or a branch of one."""
-    first: Annotated[int | None, values.whole("--from", "STEP", Interval(1)), named("from", "must be given")] = None
+    first: Annotated[
+        int | None, values.whole("--from", "STEP", Interval(1)), tyro.conf.arg(name="from", help_behavior_hint=MUST)
+    ] = None
     """The first step with other parameters."""
     changes: Annotated[
         tyro.conf.UseAppendAction[tuple[Annotated[tuple[str, ...], values.words("NAME=VALUE")], ...]],
-        named("set", "must be given"),
+        tyro.conf.arg(name="set", help_behavior_hint=MUST),
     ] = ()
     """A parameter, by its name on the command line of a run: particles=500, believed.range=0.01, association=nearest,
     merge-walls=on. Several, or this option several times. noise.range and the like are what the world is."""
@@ -55,8 +59,11 @@ class WhatIf:
         """Run both; returns the exit code."""
         if own:
             raise UsageError(f"unknown option {next(iter(own))}; dualslam whatif --help lists them")
-        if not self.recording:
-            raise UsageError("whatif needs a recording, such as: dualslam whatif a.rrd --from 143 --set particles=500")
+        if not self.recording:  # which a list of settings before it would swallow
+            raise UsageError(
+                "whatif needs a recording, before its options, such as: dualslam whatif a.rrd --from 143 --set "
+                "particles=500"
+            )
         if self.first is None:
             raise UsageError("whatif needs --from STEP, the first step with other parameters")
         from app.compare.runs import split_branch
