@@ -103,10 +103,9 @@ def scarcest(maps: Maps) -> str:
     if not len(there):
         return ""
     i = int(there[np.argmin(copies[there] / holders[there])])
-    median = int(np.median(copies[there]))
     return (
-        f"of feature {i} {copies[i]} hypothes{'is is' if copies[i] == 1 else 'es are'} left in {holders[i]} maps, "
-        f"of half of the features at most {median}"
+        f"feature {i} has {copies[i]} hypothes{'is' if copies[i] == 1 else 'es'} left among {holders[i]} maps, "
+        f"half of the features at most {np.median(copies[there]):.0f}"
     )
 
 

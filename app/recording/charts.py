@@ -77,7 +77,8 @@ def ancestry_frame(band: Band, rgb: colours.RGB) -> rr.LineStrips2D:
 
 def look_of_words(band: Band, rgb: colours.RGB) -> rr.Points2D:
     """Where the words of one band stand: above it."""
-    return _labels([[0.5 * WIDTH, band.top - 0.75 * HEADER]], [""], rgb)
+    place = [[0.5 * WIDTH, band.top - 0.75 * HEADER]]
+    return rr.Points2D.from_fields(positions=place, radii=0.0, colors=rgb, show_labels=True)
 
 
 def words(text: str) -> rr.Points2D:
