@@ -25,8 +25,8 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /plots/<metric>/<filter>        a series for each measure of `metrics`
     /plots/nees/{lower,upper}       95 % chi-square band; the same for nees_log10
     /plots/n_eff/threshold          where resampling begins
-    /genealogy/<filter>             ancestry of the whole run: the tree that leads to the living, an even sample of them,
-                                    and of those that died, dim; the colour is that of the founder
+    /genealogy/<filter>             ancestry of the whole run: the tree that leads to the living, an even sample of
+                                    them, and of those that died, dim; the colour is that of the founder
     /genealogy/<filter>/lags        distinct ancestors by steps back, a curve; as numbers `ancestors`, `steps_back`
     /genealogy/<filter>/words       the same in words
     /genealogy/cursor               the present step in the picture

@@ -92,9 +92,9 @@ founder, the same as of the paths on the map of that filter; what all have in co
 all descend from one founder the living become founders, so that colours begin anew. Dim lines died out. The curves
 beside it say how many different ancestors the particles had so many steps back, both on logarithmic scales.
 
-**Hypotheses** counts, for every feature, how many different versions of it are left among the maps of all particles: one
-means that nothing will ever choose between its hypotheses again. **Weights** are times K, largest first: equal
-weights are a row of ones.
+**Hypotheses** counts, for every feature, how many different versions of it are left among the maps of all particles:
+one means that all have the same, and that no weight can choose. **Weights** are times K, largest first: equal weights
+are a row of ones.
 
 **Timelines.** `step` has one picture for each observing step, with the weights of that step. `stage` has three:
 *predicted*, *weighted*, *resampled*; choose it in the panel below and go through them with the arrow keys. `sim_time`
