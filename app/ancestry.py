@@ -54,7 +54,7 @@ def of_branches(genealogy: Genealogy, branches: list[Branch], rgb: colours.RGB) 
     is; in the colour of the filter what all have in common."""
     founders = np.array([b.founder for b in branches], np.int64)
     living = np.array([b.living for b in branches], np.int64)
-    return _tones(genealogy, founders, living, 0.65 - 0.55 * np.sqrt(living / genealogy.particles), rgb)
+    return _tones(genealogy, founders, living, 0.5 - 0.45 * np.sqrt(living / max(living, default=1)), rgb)
 
 
 def _tones(genealogy: Genealogy, founders: Ints, living: Ints, faded: Floats, rgb: colours.RGB) -> Floats:
@@ -103,10 +103,9 @@ def scarcest(maps: Maps) -> str:
     if not len(there):
         return ""
     i = int(there[np.argmin(copies[there] / holders[there])])
-    median = int(np.median(copies[there]))
     return (
-        f"of feature {i} {copies[i]} hypothes{'is is' if copies[i] == 1 else 'es are'} left in {holders[i]} maps, "
-        f"of half of the features at most {median}"
+        f"feature {i} has {copies[i]} hypothes{'is' if copies[i] == 1 else 'es'} left among {holders[i]} maps, "
+        f"half of the features at most {np.median(copies[there]):.0f}"
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import viser
 
 from app import colours, shades
+from app.ancestry import of_branches
 from app.live.engine import Status
 from app.panel import shapes
 from app.panel.nodes import Dots, Ellipses, Node, Strokes
@@ -298,13 +299,19 @@ class FilterLayers(Layers):
         uncertain = ellipse_axes(Sigma)[0][:, 0] > 0.0
         self.map_ellipses.put(shapes.ellipses(view.at(theta[uncertain]), Sigma[uncertain], 0.5 * LEAST * view.pixel))
 
-    def draw_lineages(self, update: FilterUpdate, view: View) -> None:
-        """The paths that lead to living particles; takes as long as all the rest."""
+    def draw_lineages(self, update: FilterUpdate, alone: bool, view: View) -> None:
+        """The paths that lead to living particles; takes as long as all the rest.
+
+        Of a filter alone they have the colours of the ancestry picture; among others, that of the filter.
+        """
         branches = [] if "lineages" in view.off else update.genealogy.branches()
         branches, rows, lengths = thinned_tree(branches, max(update.genealogy.steps, 1), VERTICES)
         segments, joined = shapes.lines(view.at(rows), lengths)
-        living = np.array([b.living for b in branches], float)
-        tones = shades.faded(self.rgb, 0.75 - 0.4 * np.sqrt(living / max(living, default=1.0)))
+        if alone:
+            tones = of_branches(update.genealogy, branches, self.rgb)
+        else:
+            living = np.array([b.living for b in branches], float)
+            tones = shades.faded(self.rgb, 0.75 - 0.4 * np.sqrt(living / max(living, default=1.0)))
         self.lineages.put(segments, np.repeat(tones, lengths, axis=0)[1:][joined])
 
     def draw_relations(self, breaks: Breaks | None, view: View) -> None:

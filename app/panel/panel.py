@@ -21,6 +21,7 @@ from app.live.trend import Trend
 from app.options import FILTERS, PRESETS
 from app.panel import now
 from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
+from app.panel.descent import Ancestry
 from app.panel.guard import guarded_server
 from app.types import SessionInfo
 from scenarios.types import Source
@@ -239,6 +240,8 @@ class Panel:
             self.plots = now.Plots(gui)
         with tabs.add_tab("Diagnosis"):
             self._build_diagnosis()
+        with tabs.add_tab("Ancestry"):
+            self.ancestry = Ancestry(gui)
         with tabs.add_tab("Run"):
             self._build_run(status)
         with tabs.add_tab("Noise"):
@@ -527,6 +530,7 @@ class Panel:
             steps = (NO_STEP, *map(str, told.steps))
             if tuple(self.named.options) != steps:
                 self.named.options = steps
+        self.ancestry.show(status)
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

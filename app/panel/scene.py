@@ -388,4 +388,4 @@ class TopView:
         for key in list(self._stale)[: 1 if playing else None]:
             del self._stale[key]
             if key in self._shown:
-                self._filters[key].draw_lineages(self._shown[key].update, view)
+                self._filters[key].draw_lineages(self._shown[key].update, len(self._shown) == 1, view)

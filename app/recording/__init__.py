@@ -20,12 +20,20 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /world/<filter>/path            path of the best particle
     /world/<filter>/relations       --relations: from where that path has the robot to where a relation has it, if
                                     that is more than 0.1 m away
-    /world/<filter>/lineages        all paths that lead to a living particle
+    /world/<filter>/lineages        all paths that lead to a living particle, in the colours of the ancestry picture
     /world/<filter>/{focus,best}    frames of the close-ups: about the estimate, about the best particle
     /plots/<metric>/<filter>        a series for each measure of `metrics`
     /plots/nees/{lower,upper}       95 % chi-square band; the same for nees_log10
     /plots/n_eff/threshold          where resampling begins
-    /genealogy/<filter>             lines of descent over (step, slot)
+    /genealogy/<filter>             ancestry of the whole run: the tree that leads to the living, an even sample of
+                                    them, and of those that died, dim; the colour is that of the founder
+    /genealogy/<filter>/lags        distinct ancestors by steps back, a curve; as numbers `ancestors`, `steps_back`
+    /genealogy/<filter>/words       the same in words
+    /genealogy/cursor               the present step in the picture
+    /ancestors/<filter>             `ancestors` (K,): of which particle before the step each one after it is a copy, at
+                                    the first step, and at all others where that is not 0, 1 ... K - 1.  Never thinned
+    /hypotheses/<filter>            different copies of each feature, by index, among all particles: `copies`; and how
+                                    many have it: `maps`.  `hypotheses` of /world/<filter>/map is that of its features
     /weights/<filter>               sorted weights times K
     /evidence/<filter>              what `diagnose` goes by, at every step (`app.diagnosis.evidence`): `numbers`, whose
                                     `names` /evidence has, and by observation its `shares` of the variance of the

@@ -75,9 +75,15 @@ def ancestry_frame(band: Band, rgb: colours.RGB) -> rr.LineStrips2D:
     return rr.LineStrips2D([box], colors=colours.faded(rgb, 0.5), radii=rr.Radius.ui_points(0.5), draw_order=0.0)
 
 
-def ancestry_words(band: Band, title: str, words: str, rgb: colours.RGB) -> rr.Points2D:
-    """What is said of one band, above it."""
-    return _labels([[0.5 * WIDTH, band.top - 0.75 * HEADER]], [f"{title}: {words}"], rgb)
+def look_of_words(band: Band, rgb: colours.RGB) -> rr.Points2D:
+    """Where the words of one band stand: above it."""
+    place = [[0.5 * WIDTH, band.top - 0.75 * HEADER]]
+    return rr.Points2D.from_fields(positions=place, radii=0.0, colors=rgb, show_labels=True)
+
+
+def words(text: str) -> rr.Points2D:
+    """What is said of one band."""
+    return rr.Points2D.from_fields(labels=[text])
 
 
 def cursor(step: int, axis: int, first: Band, last: Band) -> rr.LineStrips2D:

@@ -339,6 +339,7 @@ class Writer:
             if f.key in self._many:
                 log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
                 log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
+                log(f"genealogy/{f.key}/words", charts.look_of_words(self._bands[f.key], rgb))
         log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
         log("genealogy/cursor", charts.look_of_cursor())
 
@@ -478,19 +479,16 @@ class Writer:
         if picture and axis != self._axis:
             self._axis = axis
             self._stream.log("genealogy/frame/time", charts.time_marks(last, axis))
-        titles = {f.key: f.title for f in self._shown.filters}
-        for key, update in step.filters.items():
-            if key in self._many:
-                genealogy = update.genealogy
-                lags = ancestry.lags(genealogy.steps)
-                left = genealogy.distinct(lags)
+        lags = ancestry.lags(step.index)
+        back = pa.array(lags, pa.int32())
+        for f in self._shown.filters:
+            update = step.filters.get(f.key)
+            if update is not None and f.key in self._many:
+                left = update.genealogy.distinct(lags)
                 curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
-                numbers = rr.AnyValues(steps_back=pa.array(lags, pa.int32()), ancestors=pa.array(left, pa.int32()))
-                self._stream.log(f"genealogy/{key}/lags", curve, numbers)
-                said = charts.ancestry_words(
-                    self._bands[key], titles[key], ancestry.words(update), colours.of_filter(key)
-                )
-                self._stream.log(f"genealogy/{key}/words", said)
+                numbers = rr.AnyValues(steps_back=back, ancestors=pa.array(left, pa.int32()))
+                self._stream.log(f"genealogy/{f.key}/lags", curve, numbers)
+                self._stream.log(f"genealogy/{f.key}/words", charts.words(f"{f.title}: {ancestry.words(update)}"))
         if self._axis:
             self._stream.log("genealogy/cursor", charts.cursor(step.index, self._axis, first, last))
 

@@ -230,6 +230,15 @@ def test_a_founder_has_one_colour_in_the_picture_and_in_the_world(
     assert set(row) == packed(tones)
 
 
+def test_the_last_founders_never_share_a_colour() -> None:
+    """By their numbers the first, the ninth and the seventeenth would."""
+    s, survivors = np.zeros((20, 3)), np.repeat([0, 8, 16], [7, 7, 6])
+    genealogy = Genealogy.start(s).grow(survivors, s)
+    tree = ancestry.tree(genealogy, colours.of_filter("dfs"))
+    drawn = {tuple(tone) for tone, share in zip(tree.tones.tolist(), tree.share, strict=True) if share}
+    assert drawn == {tuple(map(float, colours.FOUNDERS[i])) for i in (0, 1, 2)}
+
+
 def test_what_all_share_has_the_colour_of_the_filter() -> None:
     s = np.zeros((4, 3))
     genealogy = Genealogy.start(s).grow(np.array([0, 0, 2, 3]), s).grow(np.zeros(4, int), s)
