@@ -36,6 +36,18 @@ from slam.types import (
 
 FILTERS = ("dfs", "fs2", "fs1", "ekf")
 
+MISTAKES = (
+    "shared-maps",
+    "weights-not-reset",
+    "plain-weights",
+    "unwrapped-angles",
+    "unsampled-proposal",
+    "features-first",
+    "resample-always",
+    "keep-first",
+)
+"""The classic ones (`slam.mistakes`)."""
+
 OF_WALLS = ("floor_lateral", "floor_angle", "merge_walls", "most_new", "orthogonal", "matching")
 """Parameters that change nothing where landmarks are seen."""
 

@@ -20,6 +20,7 @@ from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, numb
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
 from slam.features import Point
+from slam.mistakes import MISTAKES
 
 SHOWN_EVENTS = 3
 """Of each filter."""
@@ -83,6 +84,9 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     what = f"{len(summary.steps)} steps, {summary.seconds():.0f} s, seed {info.seed}"
     console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}")
     console.print(f"{what}, {info.params.association} association")
+    if info.mistake:
+        wrong = f"wrong on purpose, {info.mistake}: {MISTAKES[info.mistake].what}"
+        console.print(wrong, style="bold red", soft_wrap=True, markup=False)
     console.print()
     print_whole(console, table(summary))
     console.print()

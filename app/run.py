@@ -15,11 +15,12 @@ from rich.console import Console
 from tyro.conf import OmitArgPrefixes, Positional
 
 from app import report, session, values
-from app.errors import UsageError
+from app.errors import UsageError, listed
 from app.files import check_directory, check_file, is_stdout
 from app.interrupt import Interrupts
 from app.options import (
     FILTERS,
+    MISTAKES,
     BelievedNoise,
     FilterOptions,
     LogOptions,
@@ -53,17 +54,20 @@ class SessionOptions:
     noise: WorldNoise = field(default_factory=WorldNoise)
     believed: BelievedNoise = field(default_factory=BelievedNoise)
     log: OmitArgPrefixes[LogOptions] = field(default_factory=LogOptions)
+    mistake: Annotated[str | None, values.choice("--mistake", MISTAKES), default("none")] = None
+    """Filters that are wrong on purpose, in one of the classic ways, to see what that does: README of app."""
     relations: Annotated[Path | None, values.path("--relations", "FILE"), default("none")] = None
     """Logs of a laser: relations between two scans (Kuemmerle et al., 2009), by which to judge the paths."""
 
     def info(self, own: dict[str, str], command: str) -> SessionInfo:
         """The session; `own` are the options that the world has of its own, as typed."""
-        from slam.estimators import ESTIMATORS  # numba takes its time to load
-
+        if self.mistake is not None:
+            check_mistake(self.mistake, self.filters)
         source = load(self.source, own, LogParts(*vars(self.log).values()))
         noise, params = parameters(source, self.filter, self.noise, self.believed)
-        filters = [ESTIMATORS[key] for key in self.filters]
-        return session.make_info(source, filters, params, noise, self.seed, self.steps, command)
+        filters = session.estimators(self.filters, self.mistake or "")
+        info = session.make_info(source, filters, params, noise, self.seed, self.steps, command)
+        return info._replace(mistake=self.mistake or "")
 
     def relations_to(self, source: Source) -> Relations | None:
         """The relations by which to judge, if any were given."""
@@ -120,12 +124,11 @@ class Run(SessionOptions):
         assert self.replay is not None
         check_outputs(self.output, str(self.replay))
         from app.live.script import Check, read_replay
-        from slam.estimators import ESTIMATORS
 
         replay = read_replay(self.replay, self.branch)
         info = session_of_command(replay.command)
         first = replay.changes[0][1]
-        filters = tuple(ESTIMATORS[key] for key in replay.filters)
+        filters = session.estimators(replay.filters, info.mistake)
         steps = min(replay.steps, len(info.source.steps))
         info = info._replace(filters=filters, params=first.params, noise=first.noise, seed=replay.seed, steps=steps)
         check = Check(replay)
@@ -187,6 +190,19 @@ class Run(SessionOptions):
 
             outputs.append(Output("paths and maps", self.output.trajectory, Trajectory(self.output.trajectory)))
         return outputs
+
+
+def check_mistake(name: str, filters: Sequence[str]) -> None:
+    """Raise `UsageError` unless one can make the mistake in all of the filters."""
+    from slam.estimators import ESTIMATORS
+    from slam.mistakes import MISTAKES as KNOWN
+
+    able = KNOWN[name].phases
+    if unable := [ESTIMATORS[key].title for key in filters if key not in able]:
+        raise UsageError(
+            f"--mistake is {name}, which one cannot make in {' and '.join(unable)}; expected --filters with "
+            f"{listed(list(able))}"
+        )
 
 
 def session_of_command(command: str) -> SessionInfo:

@@ -9,7 +9,7 @@ up again from any earlier `State`, with other parameters, on the same random num
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from time import perf_counter
 from typing import Any, NamedTuple, TypeVar
@@ -22,8 +22,10 @@ from app.interrupt import Interrupts
 from app.types import FilterUpdate, Observer, SessionInfo, SessionStep
 from scenarios.noise import add_noise
 from scenarios.types import Source
+from slam.estimators import ESTIMATORS
 from slam.genealogy import Genealogy
 from slam.metrics import measure
+from slam.mistakes import MISTAKES, with_mistake
 from slam.motion import propagate
 from slam.perception import perceive
 from slam.perception.matching import Track
@@ -123,6 +125,14 @@ def _moved(pose: Floats, frame: Frame) -> Floats:
     for u, dt in zip(frame.u, frame.dt, strict=True):
         pose = np.array(propagate(frame.motion, pose, u, dt)[0])
     return pose
+
+
+def estimators(keys: Iterable[str], mistake: str = "") -> tuple[Estimator, ...]:
+    """Filters by key; with the mistake those in which one can make it."""
+    if not mistake:
+        return tuple(ESTIMATORS[key] for key in keys)
+    made = MISTAKES[mistake].phases
+    return tuple(with_mistake(ESTIMATORS[key], mistake) if key in made else ESTIMATORS[key] for key in keys)
 
 
 class Change(NamedTuple):

@@ -1,6 +1,7 @@
 """`--summary FILE.json`: what each filter did, in numbers.  Stable and versioned.
 
     {"schema": 1, "version": "0.1.0", "world": name, "title": text, "seed": n,
+     "mistake": name (--mistake) | null,
      "steps": n, "complete": bool,      steps done; whether these are all that were asked for
      "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool},
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
@@ -171,6 +172,7 @@ class Summary:
             "world": info.source.name,
             "title": info.source.title,
             "seed": info.seed,
+            "mistake": info.mistake or None,
             "steps": len(self.steps),
             "complete": len(self.steps) == info.steps,
             "params": params,

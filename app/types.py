@@ -88,6 +88,8 @@ class SessionInfo(NamedTuple):
     """Number of observing steps to come."""
     command: str
     """The command line, or the call, that started it."""
+    mistake: str = ""
+    """That the filters have in them on purpose (`slam.mistakes`), where one can make it in them; empty for none."""
 
 
 class Observer(Protocol):

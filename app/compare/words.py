@@ -42,6 +42,8 @@ def settings(run: Run) -> dict[str, Any]:
     noise = told["noise"] if told["kind"] == "world" else {}
     parts = {"options": told["options"], "noise": noise, "params": told["params"], "versions": told["versions"]}
     found = {"source": told["world"], "kind": told["kind"], "seed": told["seed"], "start": told["start"]}
+    if told.get("mistake"):
+        found["mistake"] = told["mistake"]
     for name, inner in parts.items():
         found |= _flat(inner, "" if name == "params" else f"{name}.")
     return found

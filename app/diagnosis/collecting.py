@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from app.diagnosis.evidence import Evidence, Numbers, record_of
+from app.diagnosis.evidence import NAMES, Evidence, record_of
 from app.diagnosis.findings import Case
 from app.types import SessionInfo, SessionStep
 from slam.estimators import ESTIMATORS
@@ -50,7 +50,7 @@ class Collector:
     def _case(self, key: str, until: int | None) -> Case:
         rows = [row for row in self._rows[key] if until is None or row[0] <= until] or self._rows[key][:1]
         steps = np.array([index for index, _ in rows])
-        numbers = np.array([evidence.numbers for _, evidence in rows], float)
+        numbers = np.array([evidence.row for _, evidence in rows], float)
         seen = [evidence.observations for _, evidence in rows]
-        record = record_of(steps, Numbers._fields, numbers, seen)
+        record = record_of(steps, NAMES, numbers, seen)
         return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(self._params), record)

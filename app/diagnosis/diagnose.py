@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.diagnosis import advice, ancestry, causes, consistency
 from app.diagnosis.findings import TOPICS, Case, Diagnosis, Finding, several
+from app.diagnosis.signatures import look
 from slam.types import Floats
 
 NEEDED = {
@@ -16,7 +17,7 @@ NEEDED = {
 
 def diagnose(case: Case) -> Diagnosis:
     """All that can be told of a filter.  What is not known is said, and nothing is guessed in its place."""
-    found: list[Finding] = []
+    found = _mistakes(case)
     if case.record["particles"][0] > 1 or "particles" in case.record.missing:
         found += [*ancestry.findings(case), *causes.findings(case)]
     found += [*consistency.findings(case), *_association(case)]
@@ -24,6 +25,17 @@ def diagnose(case: Case) -> Diagnosis:
     found += _missing(case)
     order = list(TOPICS)
     return Diagnosis(case, tuple(sorted(found, key=lambda finding: order.index(finding.topic))))
+
+
+def _mistakes(case: Case) -> list[Finding]:
+    """What a right filter cannot do; nothing of a recording that has no marks of it."""
+    return [
+        Finding(
+            "mistake", found.mistake, f"{found.text[0].upper()}{found.text[1:]} ({found.mistake}).",
+            tuple(found.steps[:5].tolist()), {"steps": float(len(found.steps)), "of": float(found.of)}, warns=True,
+        )
+        for found in look(case.record).findings
+    ]  # fmt: skip
 
 
 def _association(case: Case) -> list[Finding]:

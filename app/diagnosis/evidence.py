@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.diagnosis.marks import Marks, marks_of
 from slam.metrics import Measures
 from slam.phases import noise_of_known, observation_noise
 from slam.types import NEW, Floats, Frame, Ints, Params, Trace
@@ -101,6 +102,17 @@ class Evidence(NamedTuple):
 
     numbers: Numbers
     observations: Observations
+    marks: Marks
+    """Of mistakes."""
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """All single numbers, as `NAMES` calls them."""
+        return (*self.numbers, *self.marks)
+
+
+NAMES = (*Numbers._fields, *Marks._fields)
+"""Of all that is one number a step."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +122,7 @@ class Record:
     steps: Ints
     """(T,) increasing; of a filter that was switched on and off, not all."""
     numbers: dict[str, Floats]
-    """(T,) by the names of `Numbers`."""
+    """(T,) by `NAMES`."""
     observations: list[Observations]
     """T of them; none in a recording that has no evidence."""
     missing: frozenset[str] = frozenset()
@@ -124,8 +136,8 @@ def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: lis
     """From rows (T, n) of numbers that are called so; those that another version had besides are left out."""
     columns = dict(zip(names, rows.T, strict=True))
     nothing = np.full(len(steps), math.nan)
-    numbers = {name: columns.get(name, nothing) for name in Numbers._fields}
-    return Record(steps, numbers, observations, frozenset(Numbers._fields) - frozenset(names))
+    numbers = {name: columns.get(name, nothing) for name in NAMES}
+    return Record(steps, numbers, observations, frozenset(NAMES) - frozenset(names))
 
 
 def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) -> Evidence:
@@ -178,4 +190,5 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             missed=float(measures.missed),
         ),
         Observations(why.observations, trace.n[best].copy(), innovation_widths(trace, R.sensor + R.model)),
+        marks_of(trace, frame, params),
     )

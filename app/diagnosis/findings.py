@@ -8,9 +8,10 @@ from typing import Any, Literal, NamedTuple
 
 from app.diagnosis.evidence import Record
 
-Topic = Literal["diversity", "cause", "consistency", "association", "advice", "missing"]
+Topic = Literal["mistake", "diversity", "cause", "consistency", "association", "advice", "missing"]
 
 TOPICS: dict[Topic, str] = {
+    "mistake": "Mistakes",
     "diversity": "Diversity",
     "cause": "What decided",
     "consistency": "Consistency",

@@ -240,7 +240,7 @@ class History:
     # ------------------------------------------------------------------------------------------------------------
 
     def _info(self, settings: Settings) -> SessionInfo:
-        filters = tuple(ESTIMATORS[key] for key in settings.filters)
+        filters = session.estimators(settings.filters, self.info.mistake)
         return self.info._replace(filters=filters, params=settings.params, noise=settings.noise)
 
     def _start(self, keys: Iterable[str]) -> State:

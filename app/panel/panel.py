@@ -515,7 +515,8 @@ class Panel:
         if tuple(self.branches.options) != names:
             self.branches.options = names
         _set(self.branches, "value", status.branch or TRUNK)
-        _set(self.tree, "content", _tree(status))
+        beside = now.beside_parent(status, self._trend, TRUNK)
+        _set(self.tree, "content", f"{_tree(status)}\n\n{beside}" if beside else _tree(status))
         _set(self.record, "label", "Stop recording" if self._records.running else "Record")
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)

@@ -10,7 +10,7 @@ import rerun as rr
 
 from app import ancestry as descent
 from app import colours
-from app.diagnosis.evidence import Evidence, Numbers
+from app.diagnosis.evidence import NAMES, Evidence
 from app.recording import arrow
 from app.recording.limits import Limits, sample
 from slam.genealogy import Genealogy
@@ -158,9 +158,9 @@ def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
 
 def evidence(found: Evidence) -> rr.AnyValues:
     """What a diagnosis is made of, for whoever reads the recording; no view shows it."""
-    numbers, (shares, features, widths) = found
+    shares, features, widths = found.observations
     return rr.AnyValues(
-        numbers=pa.array(numbers, pa.float64()),
+        numbers=pa.array(found.row, pa.float64()),
         shares=pa.array(shares),
         features=pa.array(features),
         widths=pa.array(widths),
@@ -169,4 +169,4 @@ def evidence(found: Evidence) -> rr.AnyValues:
 
 def evidence_names() -> rr.AnyValues:
     """What the numbers of `evidence` are called, in their order."""
-    return rr.AnyValues(names=list(Numbers._fields))
+    return rr.AnyValues(names=list(NAMES))

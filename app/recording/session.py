@@ -13,8 +13,8 @@ from app.recording.blueprint import MAP_ASPECT, PAGE_ASPECT
 from app.recording.stream import OpenStream
 from app.recording.writer import Writer
 from app.relations import Breaks
+from app.session import estimators
 from app.types import SessionInfo, SessionStep
-from slam.estimators import ESTIMATORS
 
 PICTURES = 8.0
 """[1/s] at most, for viewers."""
@@ -58,7 +58,7 @@ class SessionWriter:
             return
         self._over = not self._live
         os.environ.setdefault("RUST_LOG", "off")  # Rerun says on stderr what is raised as `RecordingLost`
-        filters = tuple(ESTIMATORS[key] for key in begun.settings.filters)
+        filters = estimators(begun.settings.filters, begun.info.mistake)
         self._info = begun.info._replace(filters=filters, params=begun.settings.params, noise=begun.settings.noise)
         self._number = begun.number
         judged = self._judge is not None and self._judge.knows(begun.info)
@@ -100,7 +100,7 @@ class SessionWriter:
         assert self._info is not None
         info, forked = self._info, self._forks.get(branch)
         if forked is not None:
-            filters = tuple(ESTIMATORS[key] for key in forked.settings.filters)
+            filters = estimators(forked.settings.filters, info.mistake)
             info = info._replace(filters=filters, params=forked.settings.params, noise=forked.settings.noise)
         judged = self._judge is not None and self._judge.knows(info)
         left = self._first if forked is None else self._writers.get(forked.parent, self._first)

@@ -16,6 +16,7 @@ from app.recording.limits import Limits
 from app.relations import LEAST, Breaks, metres
 from app.types import SessionInfo
 from slam.features import Wall
+from slam.mistakes import MISTAKES
 
 PAPER = (
     "D. Rodriguez-Losada, P. San Segundo, F. Matia, L. Pedraza, *Dual FastSLAM: Dual Factorization of the Particle "
@@ -65,7 +66,7 @@ def about(info: SessionInfo, shown: Limits) -> str:
 reckoning grey, observations are dim yellow.
 
 {legend}
-
+{_mistake(info.mistake)}
 The Dual FastSLAM paper: {PAPER}.
 
 ## How to read it
@@ -97,6 +98,11 @@ All plots and events. Of the particles of each filter at most {shown.particles} 
 ellipse). Paths are redrawn every {_steps(shown.paths)}; lineages, ancestry and all maps every {_steps(shown.pictures)},
 with at most {shown.hypotheses} features of all maps{" (a wall that particles share counts once)" if walls else ""}.
 """
+
+
+def _mistake(name: str) -> str:
+    """What is wrong on purpose, as a paragraph."""
+    return f"\n**This run is wrong on purpose** (`--mistake {name}`). {MISTAKES[name].what}\n" if name else ""
 
 
 def relations(found: Mapping[str, Breaks], titles: Mapping[str, str], step: int) -> str:
@@ -134,6 +140,7 @@ def description(info: SessionInfo, time_origin: float) -> dict[str, Any]:
         "steps": info.steps,
         "command": info.command,
         "filters": [{"key": f.key, "title": f.title, "reference": f.reference} for f in info.filters],
+        "mistake": info.mistake or None,
         "params": dataclasses.asdict(info.params),
         "noise": dataclasses.asdict(info.noise),
         "start": [float(x) for x in info.source.start],

@@ -24,6 +24,7 @@ from app.recording.limits import due, limits_for, thinned
 from app.recording.metrics import METRICS, known_of, log_nees, populations
 from app.recording.stream import BranchStream, OpenStream
 from app.relations import Breaks
+from app.session import estimators
 from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant, best_path
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
@@ -348,7 +349,7 @@ class Writer:
     def _notice(self, keys: Collection[str]) -> None:
         """Filters that were switched on or off: the windows keep a place for what was there once."""
         there = {f.key for f in self._shown.filters}
-        new = [ESTIMATORS[key] for key in keys if key not in there]
+        new = estimators((key for key in keys if key not in there), self._info.mistake)
         for key in self._on - set(keys):
             self._stream.log(f"world/{key}", rr.Clear(recursive=True))
             self._labelled = {

@@ -13,6 +13,7 @@ from app.study.extraction import ExtractionStudy
 from app.study.laser_log import LaserLog
 from app.study.log_error import LogError
 from app.study.loop_closure import LoopClosure
+from app.study.mistakes import MistakesStudy
 from app.study.orthogonality import OrthogonalityStudy
 from app.study.paper_table import PaperTable
 from app.study.rotation_spread import RotationSpread
@@ -27,6 +28,7 @@ STUDIES: dict[str, type] = {
     "rotation-spread": RotationSpread,
     "orthogonality": OrthogonalityStudy,
     "extraction": ExtractionStudy,
+    "mistakes": MistakesStudy,
     "diagnosis": DiagnosisStudy,
     "consistency": ConsistencyStudy,
 }

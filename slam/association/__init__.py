@@ -51,7 +51,7 @@ def limit_new(n: Ints, frame: Frame, R: ObservationNoise, params: Params) -> Non
     along it, is small for what is long, has many beams and is straight, and a wrong angle is what a wall is wrong with
     far from where it was made.
     """
-    if params.most_new == 0 or type(frame.feature) is not Wall:
+    if params.most_new == 0 or not isinstance(frame.feature, Wall):
         return
     best_first = np.argsort(R.sensor[:, 1, 1], kind="stable")
     new = n[:, best_first] == NEW
