@@ -78,7 +78,9 @@ so: weights are equal after a resampling, draws differ from their mean, a map ha
 seen. And test with truth: NEES finds most of them. Two more of the gallery, `unwrapped-angles` and
 `keep-first`, change next to nothing on this road: a mistake that does not bite here waits for a world in
 which it does.""",
-    measured="MEASURED",
+    measured="""\
+In 20 of 20 seeds (0 to 19). How surely `dualslam diagnose` tells each mistake from a right filter, in this
+world and in others, is counted by `dualslam study mistakes`.""",
     variants=(
         Variant(RIGHT, "paper-line --vehicle ackermann --filters fs2 fs1"),
         Variant(SHARED, "paper-line --vehicle ackermann --filters fs2 --mistake shared-maps"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import signal
@@ -18,7 +19,13 @@ from app.lessons import LESSONS
 from app.lessons.equations import EQUATIONS
 from app.lessons.running import run_all
 from app.lessons.watching import Ran
+from app.live import lessons
+from app.live.engine import Engine
+from app.live.trend import Trend
+from app.panel.panel import Lessons, Panel
 from app.recording.reading import Recording
+from app.types import SessionInfo
+from scenarios.registry import build, worlds
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -57,7 +64,7 @@ def test_it_would_not_be_so_of_other_runs(given, name):
     names = [run for run in filters if filters[run] == filters[lesson.variants[1].name]]
     exchanged = [runs | {to: runs[of] for to, of in zip(names, (*names[1:], names[0]), strict=True)} for runs in seeds]
     assert not lesson.phenomenon(exchanged).seen
-    alike = [runs | {to: runs[names[0]] for to in names} for runs in seeds]
+    alike = [{run: runs[names[0]] if run in names else ran for run, ran in runs.items()} for runs in seeds]
     assert not lesson.phenomenon(alike).seen
 
 
@@ -175,3 +182,72 @@ def test_interruption_saves_what_is_there(tmp_path):
     assert "## The point" not in out
     assert not Recording(recording).damaged
     assert "What came out" not in (tmp_path / "out" / "rotation.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def page():
+    """The panel in the first run of a lesson, as `--live` opens it."""
+    name = "one-landmark-too-many: one landmark"
+    engine = Engine(lessons.open_lesson(name, 3))
+    engine.start()
+    offered = Lessons(lessons.NAMES, lessons.open_lesson, lessons.text_of)
+    panel = Panel(engine, Trend(), NoRecords(), list(worlds()), build, lessons=offered, lesson=name)
+    yield engine, panel
+    panel.close()
+    engine.close(20.0)
+
+
+class NoRecords:
+    """Nothing is recorded."""
+
+    running = False
+
+    def start(self, name: str) -> str:
+        return name
+
+    def stop(self) -> str:
+        return ""
+
+    def describe(self) -> str:
+        return ""
+
+
+def choose(page, name: str, number: int) -> SessionInfo:
+    """Choose a lesson and press Reset; the session that begins, the number-th."""
+    engine, panel = page
+    panel.lesson.value = name
+    panel._reset()
+    info = engine.wait(lambda status: status.number == number).info
+    began = time.monotonic()
+    while panel._built != number and time.monotonic() - began < 20:
+        time.sleep(0.02)
+    return info
+
+
+def test_lessons_on_the_page(page):
+    info = choose(page, "corridor: 30 particles", 1)
+    assert (info.source.name, info.steps, info.seed, info.params.particles) == ("corridor", 100, 3, 30)
+    assert info.command == "dualslam live corridor --doors none --particles 30 --steps 100 --seed 3"
+    assert page[1]._lesson == page[1].lesson.value == "corridor: 30 particles"
+    page[0].desk.change({"particles": 7})
+    assert choose(page, "corridor: 30 particles", 2).params.particles == 7  # begins again, as it is now
+    assert choose(page, "nothing of the kind", 3).source.name == "corridor"
+    assert page[1]._lesson == ""
+    info = choose(page, "one-landmark-too-many: three, R times 16", 4)
+    assert (info.params.weighting, info.params.inflate_r) == ("joint", 16.0)
+    page[1].world.value = "loop"
+    assert choose(page, page[1].lesson.value, 5).source.name == "loop"
+    assert page[1].lesson.value == "-"
+
+
+@pytest.mark.parametrize("name", lessons.NAMES)
+def test_text_on_the_page(name):
+    pieces = lessons.text_of(name)
+    pictures = "".join(html for _, html in pieces)
+    assert pictures.count("<img") == pictures.count("data:image/svg+xml;base64,") >= 1
+    for picture in re.findall(r"base64,([A-Za-z0-9+/=]+)", pictures):
+        assert b"</svg>" in base64.b64decode(picture)
+    markdown = "".join(text for text, _ in pieces)
+    assert "\0" not in markdown
+    assert "```" not in markdown
+    assert LESSONS[name.partition(":")[0]].point in markdown
