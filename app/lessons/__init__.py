@@ -9,6 +9,7 @@ from app.lessons import (
     good_sensor,
     improved_proposal,
     loop,
+    mistakes,
     one_landmark_too_many,
     overconfidence,
     rotation,
@@ -26,6 +27,7 @@ LESSONS: dict[str, Lesson] = {
         one_landmark_too_many,
         loop,
         overconfidence,
+        mistakes,
     )
 }
 """In the order in which they are best taken."""

@@ -456,7 +456,8 @@ class Engine:
         if source is not None:
             settings = first_settings(source, settings.filters, source.params(), source.noise)
             command = shlex.join(["dualslam", "live", source.name])
-            info = session.make_info(source, info.filters, command=command, seed=info.seed)
+            filters = session.estimators(f.key for f in info.filters)  # mistakes are not taken along
+            info = session.make_info(source, filters, command=command, seed=info.seed)
         if seed is not None:
             info = info._replace(seed=int(seed))
         info = info._replace(params=settings.params, noise=settings.noise)
