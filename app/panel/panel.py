@@ -18,7 +18,7 @@ from app.errors import sentence
 from app.live.diagnoses import NOTHING, Diagnoses
 from app.live.engine import Engine, Status
 from app.live.trend import Trend
-from app.options import FILTERS, PRESETS
+from app.options import FILTERS, MISTAKES, PRESETS
 from app.panel import now
 from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
 from app.panel.guard import guarded_server
@@ -61,7 +61,7 @@ NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into 
 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
-NO_PRESET = "-"
+NO_PRESET, NO_MISTAKE = "-", "none"
 
 NO_STEP = "-"
 """Of the steps that a diagnosis names, none."""
@@ -273,6 +273,12 @@ class Panel:
         self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
         self.preset.on_update(lambda _: self._set_preset())
         self.parameters = self.controls.add(filter_controls(source))
+        self.mistake = gui.add_dropdown(
+            "mistake",
+            (NO_MISTAKE, *MISTAKES),
+            initial_value=status.info.mistake or NO_MISTAKE,
+            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
+        )
 
     def _build_travel(self, status: Status) -> None:
         gui, engine = self._gui, self._engine
@@ -401,7 +407,8 @@ class Panel:
             given = isinstance(seed, int | float) and not isinstance(seed, bool)
             number = int(min(max(seed, 0), MOST_SEED)) if given else status.info.seed
             other = self.world.value != status.info.source.name and self.world.value in self._worlds
-            self._engine.reset(number, self._open_world(self.world.value) if other else None)
+            mistake = self.mistake.value if self.mistake.value in MISTAKES else ""
+            self._engine.reset(number, self._open_world(self.world.value) if other else None, mistake)
             return ""
 
         self._try(reset)
