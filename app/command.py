@@ -21,6 +21,7 @@ import tyro
 from app.compare.command import Compare
 from app.diagnosis.command import Diagnose
 from app.errors import UsageError, listed, sentence, suggestion
+from app.lessons.command import Teach
 from app.live.command import Live
 from app.options import FILTERS
 from app.run import Run, SessionOptions
@@ -36,6 +37,7 @@ DESCRIPTION = """See inside a SLAM particle filter: Dual FastSLAM beside FastSLA
 
 Examples:
   dualslam live loop                                 the workbench: a panel and Rerun's viewer on one page
+  dualslam lesson                                    guided demonstrations: questions, and runs that answer them
   dualslam worlds                                    what there is to run
   dualslam run loop                                  three filters on a simulated world
   dualslam run paper-line --vehicle ackermann --filters dfs fs2 fs1 ekf --record paper.rrd
@@ -66,6 +68,7 @@ class Study:
 
 COMMANDS: dict[str, Any] = {
     "live": Live,
+    "lesson": Teach,
     "run": Run,
     "compare": Compare,
     "diagnose": Diagnose,

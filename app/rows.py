@@ -112,7 +112,7 @@ ROWS = (
     Row("map_error_end_m", "map error, end", "map_error_m", _of_known(_last), "m"),
     Row(NEES, "NEES", "nees", _of_known(_mean_of_finite), form=_large),
     Row("diversity_end", "diversity, end", "diversity", _last, "%", 100.0, _digits),
-    Row("ancestors_end", "ancestors left, end", "ancestors", _last, "%", 100.0, _digits),
+    Row("ancestors_end", "ancestors left, end", "ancestors", _last, form=_count),
     Row("n_eff_median", "N_eff, median", "n_eff", _median, form=_digits),
     Row("resamplings", "resamplings", "resampled", lambda v: float(np.sum(v)), form=_count),
     Row("features", "features", "features", _last, form=_count),

@@ -64,8 +64,9 @@ class Live(SessionOptions):
     record: Annotated[Path | None, values.path("--record", "FILE.rrd"), default("not written")] = None
     """Record from the first step on; FILE.json beside it replays the session: dualslam run --replay FILE.json."""
 
-    def __call__(self, own: dict[str, str], command: str) -> int:
-        """Serve the page until somebody ends it; returns the exit code."""
+    def __call__(self, own: dict[str, str], command: str, lesson: str = "") -> int:
+        """Serve the page until somebody ends it, with the text of a lesson beside it (`app.live.lessons.NAMES`) if it
+        is one; returns the exit code."""
         began = monotonic()
         out = Console(highlight=False)
         out.print("starting ...")
@@ -81,7 +82,7 @@ class Live(SessionOptions):
         sys.setswitchinterval(SWITCH)
         with Interrupts() as interrupts, ExitStack() as stack:
             with interrupts.shield():
-                workbench = Workbench(self, info, relations, out, stack)
+                workbench = Workbench(self, info, relations, out, stack, lesson)
             try:
                 out.print(f"ready after {monotonic() - began:.1f} s: {workbench.url}", soft_wrap=True, markup=False)
                 if not self.no_browser:
@@ -100,8 +101,15 @@ class Workbench:
     """Everything that runs: the session, the panel, the page, viewers and files; what is opened goes on the stack."""
 
     def __init__(
-        self, options: Live, info: SessionInfo, relations: Relations | None, out: Console, stack: ExitStack
+        self,
+        options: Live,
+        info: SessionInfo,
+        relations: Relations | None,
+        out: Console,
+        stack: ExitStack,
+        lesson: str = "",
     ) -> None:
+        from app.live import lessons
         from app.live.diagnoses import Diagnoses
         from app.live.engine import Engine, Listener
         from app.live.judge import Judge
@@ -109,7 +117,7 @@ class Workbench:
         from app.live.publisher import VIEWER_STEPS, Publisher
         from app.live.records import Records
         from app.live.trend import Trend
-        from app.panel.panel import Panel
+        from app.panel.panel import Lessons, Panel
         from app.recording.live import LiveHost, quiet
         from app.recording.stream import FileStream, check_path
         from app.sources import LogParts, load
@@ -156,6 +164,8 @@ class Workbench:
             self._view,
             diagnoses,
             self._notes,
+            lessons=Lessons(lessons.NAMES, lessons.open_lesson, lessons.text_of),
+            lesson=lesson,
         )
         stack.callback(self.panel.close)
         self.page = Page(f"http://127.0.0.1:{self.panel.port}", viewer, options.port or 0)

@@ -215,6 +215,10 @@ class Engine:
         an empty one for none, or with that of before."""
         self._commands.put(lambda: self._reset(seed, source, mistake))
 
+    def begin(self, info: SessionInfo) -> None:
+        """Begin another session, with its own filters, parameters and seed."""
+        self._commands.put(lambda: self._reset(None, None, None, info))
+
     def replace(self, old: Listener, new: Listener) -> None:
         """One listener for another, before a reset and from there: the old one's session is over."""
         self._remove(old)
@@ -443,10 +447,15 @@ class Engine:
         self._stands()
         self.desk.put(self._history.branch.settings(self._history.done + 1))
 
-    def _reset(self, seed: int | None, source: Source | None, mistake: str | None) -> None:
+    def _reset(
+        self, seed: int | None, source: Source | None, mistake: str | None, other: SessionInfo | None = None
+    ) -> None:
         self._pause()
         self.before_reset(self._history)
         info, settings = self._history.info, self.desk.read()
+        if other is not None:
+            keys = tuple(estimator.key for estimator in other.filters)
+            info, settings = other, first_settings(other.source, keys, other.params, other.noise)
         mistake = info.mistake if mistake is None else mistake
         if source is not None:
             settings = first_settings(source, settings.filters, source.params(), source.noise)

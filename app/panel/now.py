@@ -10,7 +10,7 @@ import viser.uplot as uplot
 
 from app import colours
 from app.live.engine import Status
-from app.live.trend import Trends
+from app.live.trend import Now, Trend, Trends
 from app.options import FILTERS
 from app.session import estimators
 from slam.estimators import ESTIMATORS
@@ -42,6 +42,28 @@ def message(status: Status) -> str:
     texts = [event.text for at, event in told if at == step]
     more = f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
     return f"*{step}: {_safe(texts[-1])}{more}*"
+
+
+def beside_parent(status: Status, trend: Trend, trunk: str) -> str:
+    """How a branch differs at the present step from what it left: a line of markdown; empty where nothing is to say."""
+    parents = {name: (parent, at) for name, parent, at, _ in status.branches}
+    parent, left_at = parents.get(status.branch, ("", status.step))
+    if not status.branch or status.step <= left_at:
+        return ""
+    here, there = trend.at(status.branch, status.step), trend.at(parent, status.step)
+    told = [f"{ESTIMATORS[key].title}: {_instead(key, here[key], there[key])}" for key in here if key in there]
+    if not told:
+        return f"*{parent or trunk} has no step {status.step} to compare with*"
+    return f"**Beside {parent or trunk}**, at step {status.step}: {'; '.join(told)}"
+
+
+def _instead(key: str, here: Now, there: Now) -> str:
+    parts = [
+        f"error {_number(here.error)} m instead of {_number(there.error)} m" if not math.isnan(here.error) else "",
+        f"N_eff {here.n_eff:.0%} instead of {there.n_eff:.0%}" if key != "ekf" else "",
+        f"diversity {here.diversity:.0%} instead of {there.diversity:.0%}" if key != "ekf" else "",
+    ]
+    return ", ".join(part for part in parts if part)
 
 
 def bold(text: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from time import monotonic, time
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import rich
 import viser
@@ -22,6 +22,7 @@ from app.options import FILTERS, MISTAKES, PRESETS
 from app.panel import now
 from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
 from app.panel.guard import guarded_server
+from app.types import SessionInfo
 from scenarios.types import Source
 from slam.estimators import ESTIMATORS
 
@@ -61,7 +62,7 @@ NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into 
 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
-NO_PRESET, NO_MISTAKE = "-", "none"
+NO_PRESET, NO_LESSON, NO_MISTAKE = "-", "-", "none"
 
 NO_STEP = "-"
 """Of the steps that a diagnosis names, none."""
@@ -95,6 +96,17 @@ class Records(Protocol):
     def describe(self) -> str:
         """Markdown: what is recorded, how large it is, what went wrong."""
         ...
+
+
+class Lessons(NamedTuple):
+    """What the panel needs of lessons."""
+
+    names: Sequence[str]
+    """Of all their runs."""
+    open: Callable[[str, int], SessionInfo]
+    """The session of one of them, with this seed."""
+    text: Callable[[str], Sequence[tuple[str, str]]]
+    """Pieces of Markdown, each with the HTML that follows it."""
 
 
 class View(Protocol):
@@ -151,7 +163,12 @@ class Panel:
         notes: Callable[[], str] = lambda: "",
         host: str = "127.0.0.1",
         port: int = 0,
+        lessons: Lessons | None = None,
+        lesson: str = "",
     ) -> None:
+        self._lessons = lessons
+        self._lesson = lesson
+        """The one whose text is shown; empty for none."""
         self._engine = engine
         self._trend = trend
         self._records = records
@@ -211,6 +228,12 @@ class Panel:
         self._build_transport()
         self.message = gui.add_markdown(now.message(status))
         tabs = gui.add_tab_group()
+        if self._lessons is not None and self._lesson:
+            with tabs.add_tab("Lesson"):
+                for markdown, html in self._lessons.text(self._lesson):
+                    gui.add_markdown(markdown)
+                    if html:
+                        gui.add_html(html)
         with tabs.add_tab("Now"):
             self.table = gui.add_markdown(now.table(status))
             self.plots = now.Plots(gui)
@@ -312,6 +335,13 @@ class Panel:
         name = status.info.source.name
         words = tuple(dict.fromkeys((name, *self._worlds)))
         self.world = gui.add_dropdown("world", words, initial_value=name, hint="Where the robot drives, after Reset.")
+        if self._lessons is not None:
+            self.lesson: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+                "lesson",
+                (NO_LESSON, *self._lessons.names),
+                initial_value=self._lesson or NO_LESSON,
+                hint="A world with a question and an answer, after Reset.",
+            )
         self.seed = gui.add_number(
             "seed",
             min(status.info.seed, MOST_SEED),
@@ -406,12 +436,28 @@ class Panel:
             status, seed = self._engine.status, self.seed.value
             given = isinstance(seed, int | float) and not isinstance(seed, bool)
             number = int(min(max(seed, 0), MOST_SEED)) if given else status.info.seed
+            if self._begins_lesson(number):
+                return ""
             other = self.world.value != status.info.source.name and self.world.value in self._worlds
             mistake = self.mistake.value if self.mistake.value in MISTAKES else ""
             self._engine.reset(number, self._open_world(self.world.value) if other else None, mistake)
+            if other:
+                self._lesson = ""
             return ""
 
         self._try(reset)
+
+    def _begins_lesson(self, seed: int) -> bool:
+        """Begin the lesson that is chosen, if it is another one than before; whether that is so."""
+        if self._lessons is None or self.lesson.value == self._lesson:
+            return False
+        if self.lesson.value not in self._lessons.names:
+            self._lesson = ""
+            return False
+        info = self._lessons.open(self.lesson.value, seed)
+        self._lesson = self.lesson.value
+        self._engine.begin(info)
+        return True
 
     def _told(self) -> bool:
         """Whether the page still says what came of something that was asked for."""
@@ -476,7 +522,8 @@ class Panel:
         if tuple(self.branches.options) != names:
             self.branches.options = names
         _set(self.branches, "value", status.branch or TRUNK)
-        _set(self.tree, "content", _tree(status))
+        beside = now.beside_parent(status, self._trend, TRUNK)
+        _set(self.tree, "content", f"{_tree(status)}\n\n{beside}" if beside else _tree(status))
         _set(self.record, "label", "Stop recording" if self._records.running else "Record")
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)

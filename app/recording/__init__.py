@@ -33,6 +33,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /branch/<name>/...              the same tree for a branch, from its first step on; property `session-<name>`, with
                                     `parent`, the branch that it left (empty for the run itself)
     /relations                      --relations: how well odometry and the filters fit them, and the worst pair of scans
+    /lesson                         the text of a lesson; its other runs are branches
     /events, /about, /params        log, and pages to read; property `session`: everything it was made with, as JSON
 
 and timelines

@@ -56,6 +56,8 @@ class Shown(NamedTuple):
     """Name of the branch, for people."""
     aspect: float = MAP_ASPECT
     """Width over height of the map view."""
+    lesson: str = ""
+    """The page of the lesson that the run is of."""
 
     def at(self, path: str) -> str:
         """The entity that has this path in a recording of its own."""
@@ -87,7 +89,7 @@ def layout_of_branches(branches: Sequence[Shown]) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Tabs(_together(branches), *tabs, active_tab=0),
-            rrb.Vertical(_plots(branches), _pages(last, branches), row_shares=[3, 2]),
+            rrb.Vertical(_plots(branches), _pages(last, branches), row_shares=[2, 3] if branches[0].lesson else [3, 2]),
             column_shares=[8, 5],
         ),
         rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
@@ -303,6 +305,7 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
         )
         for f in _many(branch)
     ]
+    lesson = branches[0].lesson
     hypotheses = [
         rrb.BarChartView(
             name=branch.named(f.title),
@@ -312,6 +315,7 @@ def _pages(branch: Shown, branches: Sequence[Shown]) -> rrb.Container:
         for f in _many(branch)
     ]
     return rrb.Tabs(
+        *([rrb.TextDocumentView(name="Lesson", origin=lesson)] if lesson else ()),
         _ancestry(branch),
         rrb.Horizontal(*hypotheses, name="Hypotheses"),
         rrb.Horizontal(*weights, name="Weights times K"),

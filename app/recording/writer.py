@@ -65,6 +65,9 @@ GUIDE: colours.RGB = (140, 140, 140)
 DUTY = 0.05
 """Share of the time that scans and relations may take where all pictures are written, for viewers."""
 
+LESSON = "lesson"
+"""The page of a lesson."""
+
 TRUTH_GAP = 2.0
 """[s] without a true pose after which the true robot is no longer shown, and its path interrupted."""
 
@@ -104,9 +107,10 @@ class Writer:
         aspect: float = MAP_ASPECT,
         trunk: Trunk | None = None,
         judge: Judge | None = None,
+        lesson: tuple[str, str] | None = None,
     ) -> None:
         """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`); `judge`
-        knows where paths break relations."""
+        knows where paths break relations; `lesson` is what this run is called in a lesson, and its text, Markdown."""
         self._info = info
         self._judge = judge
         self._last: SessionStep | None = None
@@ -142,8 +146,14 @@ class Writer:
         known_of_it = known_of(info.source, info.steps) | ({"relations"} if judge is not None else set())
         self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
         if trunk is not None:
-            self._shown = self._shown._replace(prefix=trunk.prefix, label=trunk.label)
+            self._shown = self._shown._replace(
+                prefix=trunk.prefix, label=trunk.label, lesson=trunk.writer._shown.lesson
+            )
+        if lesson is not None:
+            self._shown = self._shown._replace(label=lesson[0], lesson=LESSON)
         self._trunk = trunk
+        self._rank = 0 if trunk is None else 1 + len(trunk.writer._branches)
+        """Among a run and its branches."""
         landmarks_there = 0 if info.source.true_map is None else len(info.source.true_map.theta)
         self._crowd = scene.crowding(landmarks_there)
         self._guides = GUIDES if trunk is None else {path: GUIDES[path] for path in OF_A_BRANCH}
@@ -157,6 +167,8 @@ class Writer:
         title = self._shown.named(f"{info.source.name}, seed {info.seed}")
         self._stream = open_stream(layout_of_branches([self._shown]), title)
         self._write_static()
+        if lesson is not None:
+            self.teach(lesson[1])
         self._stream.begun()
 
     def fork(self, info: SessionInfo, name: str, judge: Judge | None = None) -> Writer:
@@ -260,6 +272,10 @@ class Writer:
                 self._write_scans(step)
                 self._write_relations(step)
 
+    def teach(self, text: str) -> None:
+        """The page of a lesson, Markdown, in place of what stood there."""
+        self._stream.log_static(LESSON, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
     def close(self) -> None:
         """Complete the file."""
         for writer in (self, *self._branches.values()):
@@ -318,13 +334,17 @@ class Writer:
                 if entity != "relations" or self._judge is not None:
                     log(f"world/{f.key}/{entity}", *look)
             for metric in METRICS:
-                line = rr.SeriesLines(names=title, colors=rgb, widths=BRANCH_WIDTH if branch else WIDTH)
+                line = rr.SeriesLines(names=title, colors=self._curve(rgb), widths=BRANCH_WIDTH if branch else WIDTH)
                 log(f"plots/{metric.name}/{f.key}", line)
             if f.key in self._many:
                 log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
                 log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
         log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
         log("genealogy/cursor", charts.look_of_cursor())
+
+    def _curve(self, rgb: colours.RGB) -> colours.RGB:
+        """The shade of a filter's colour for its curves: a lesson may have many runs, and has all of them at once."""
+        return colours.of_run(rgb, self._rank, on_dark=True) if self._shown.lesson else rgb
 
     def _notice(self, keys: Collection[str]) -> None:
         """Filters that were switched on or off: the windows keep a place for what was there once."""

@@ -97,7 +97,7 @@ class Tally:
         for key, update in step.filters.items():
             measures, trace = update.measures, update.trace
             self.particles.setdefault(key, len(trace.resampled.log_w))
-            founders = int(update.genealogy.distinct_ancestors()[len(self.steps) - 1])
+            ancestors = int(update.genealogy.distinct_ancestors()[len(self.steps) - 1])
             row = {
                 "position_error_m": measures.position_error_m,
                 "best_position_error_m": measures.best_position_error_m,
@@ -107,7 +107,8 @@ class Tally:
                 "n_eff": measures.n_eff,
                 "n_eff_share": measures.n_eff / len(trace.weighted.log_w),
                 "diversity": measures.diversity,
-                "ancestors": founders / self.particles[key],
+                "ancestors": ancestors,
+                "ancestors_share": ancestors / self.particles[key],
                 "common_ancestor_steps": measures.common_ancestor_age,
                 "features": measures.features,
                 "duplicates_so_far": measures.duplicates,

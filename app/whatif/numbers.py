@@ -16,7 +16,7 @@ from app.whatif.settings import shown
 from slam.features import Wall
 from slam.types import Floats, Ints
 
-UNCHANGED = "unchanged"
+UNCHANGED, CHANGED = "unchanged", "changed"
 
 SURE = 0.05
 """Two-sided: how often luck alone may do as much before it is not told as an effect."""
@@ -55,7 +55,7 @@ class Tallies:
 
 
 def title(plan: Plan) -> str:
-    """The changed way's name, such as `particles=500 believed.range=0.01`."""
+    """Of the changed way, such as `particles=500 believed.range=0.01`."""
     return " ".join(f"{name}={shown(name, value)}" for name, value in plan.values.items())
 
 
@@ -69,7 +69,7 @@ def _run(tallies: Tallies, changed: bool) -> Run:
     info = plan.changed_info if changed else plan.origin.info._replace(params=plan.settings(plan.first, False).params)
     steps: Ints = np.array(tally.steps[:done], np.int64)
     return Run(
-        name=title(plan) if changed else UNCHANGED,
+        name=CHANGED if changed else UNCHANGED,
         path=plan.origin.path,
         branch=plan.origin.branch,
         told=texts.description(info, 0.0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -26,6 +27,9 @@ from slam.types import Floats, Noise, Params
 CLOCKS = ("update_ms",)
 """What is another number each time."""
 
+ROBOT = "of the robot"
+"""What no filter has a hand in."""
+
 LAST_BITS = 1e-6
 """Relative, and absolute below 1: differences up to here are those of rounding, on another machine."""
 
@@ -42,8 +46,7 @@ class Departure(NamedTuple):
     @property
     def small(self) -> bool:
         """Whether only the last bits differ."""
-        size = max(1.0, abs(self.recorded), abs(self.computed))
-        return abs(self.recorded - self.computed) <= LAST_BITS * size  # false for NaN and infinity
+        return math.isclose(self.computed, self.recorded, rel_tol=LAST_BITS, abs_tol=LAST_BITS)
 
 
 class Recorded:
@@ -98,7 +101,7 @@ class Recorded:
             return []
         now = step.truth[:2].astype(np.float32)
         pairs = zip(("x", "y"), was.tolist(), now.tolist(), strict=True)
-        return [Departure(step.index, f"{name} of the robot", a, b) for name, a, b in pairs if a != b]
+        return [Departure(step.index, f"{name} {ROBOT}", a, b) for name, a, b in pairs if a != b]
 
 
 _METRICS = {metric.name: metric for metric in METRICS}
@@ -131,7 +134,7 @@ class Origin(NamedTuple):
 
     def apart(self, departure: Departure) -> str:
         """That this is another run than the one that was recorded, and why that may be."""
-        return f"{self.path} cannot be run again: {_told(departure)}; perhaps {listed(self._reasons())}"
+        return f"{self.path} cannot be run again: {_told(departure)}; perhaps {listed(self._reasons(departure))}"
 
     def differs(self, departure: Departure) -> str:
         """The same where it does no harm: of the last bits, or after the fork."""
@@ -139,16 +142,23 @@ class Origin(NamedTuple):
             return f"only the last bits differ from those recorded, but they do: {_told(departure)}"
         return f"{_told(departure)}: both ways are told of as they are computed here"
 
-    def _reasons(self) -> list[str]:
+    def _reasons(self, departure: Departure) -> list[str]:
+        if departure.what.endswith(ROBOT) and self.places:
+            return [self._changed()]
         here = texts.versions()
         other = [
             f"{name} {was} (here {here.get(name)})" for name, was in self.versions.items() if here.get(name) != was
         ]
+        begins = self.recorded.span[0]
         return [
+            *([f"something changed before step {begins}, where the recording begins"] if begins > 1 else []),
             *([f"it was made with {', '.join(other)}"] if other else []),
-            *(f"{place} has changed since" for place in self.places),
+            *([self._changed()] if self.places else []),
             "it was made on another kind of processor",
         ]
+
+    def _changed(self) -> str:
+        return f"{' or '.join(self.places)} has changed since"
 
 
 def _told(departure: Departure) -> str:
@@ -266,8 +276,9 @@ def _source(told: Values, path: Path, place: Path | None) -> tuple[Source, list[
         raise UsageError(
             f"{path} was made of {name or told['world']}, which cannot be read: {sentence(error)}"
         ) from None
-    if source.name != told["world"] or not np.allclose(source.start, told["start"], rtol=0.0, atol=1e-9):
-        raise UsageError(f"{file} is not what {path} was made of: it begins elsewhere, or has another name")
+    renamed = source.kind == "world" and source.name != told["world"]  # a log is called like its file
+    if renamed or source.kind != told["kind"] or not np.allclose(source.start, told["start"], rtol=0.0, atol=1e-9):
+        raise UsageError(f"{file} is not what {path} was made of: it is another world or log, or begins elsewhere")
     return source, [str(file), *(str(part) for part in [parts.reference] if part)]
 
 

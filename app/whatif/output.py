@@ -17,7 +17,8 @@
      "seeds": n}                                        how often both were run again with other random numbers
 
 - SI units and radians; the keys of `numbers` and `seeds` are those of `rows.ROWS`, the series those of `compare.json`,
-  with `n_eff_share` (of K) and `ancestors`, the share of the particles after step `from` that have descendants.
+  with `n_eff_share`, of K, and `ancestors`, how many of the particles after step `from` have descendants, and
+  `ancestors_share`, of those particles.
 - `seeds` has no number of the run's own random numbers: they were chosen for what happened with them.  `lower`: how
   often the changed way had the smaller number with the same random numbers; `luck`: two-sided sign test.
 - `null` is what is not known, and infinity.

@@ -97,41 +97,38 @@ def check_applies(settings: Sequence[Setting], source: Source, filters: Sequence
     for setting in settings:
         group, _, name = setting.name.rpartition(".")
         by_group[group][name] = setting.value
-    for setting in settings:
-        try:
-            check_noise(by_group["noise"], source)
-            check_belief(by_group["believed"], source)
-            check_walls(by_group[""], source)
-            if by_group[""].get("association") == "known":
-                check_known(source)
-        except UsageError as error:
-            text = str(error)
-            for one in settings:
-                text = _as_set(text, one.name)
-            raise UsageError(text) from None
+    try:
+        check_noise(by_group["noise"], source)
+        check_belief(by_group["believed"], source)
+        check_walls(by_group[""], source)
+        if by_group[""].get("association") == "known":
+            check_known(source)
+    except UsageError as error:
+        text = str(error)
+        for setting in settings:
+            text = _as_set(text, setting.name)
+        raise UsageError(text.replace("--noise.", "noise.").replace("--believed.", "believed.")) from None
     _check_filters(settings, filters)
 
 
-ONLY_FOR = {
+_MANY = ("dfs", "fs2", "fs1")
+
+OF_FILTERS = {
     "weighting": ("dfs",),
     "proposal_weight": ("fs2",),
     "orthogonal": ("ekf",),
-    "merge_walls": ("dfs", "fs2", "fs1"),
+    **dict.fromkeys(("merge_walls", "particles", "resampler", "resample_below"), _MANY),
 }
-"""Settings of some filters only."""
+"""Settings that only some filters have."""
 
 
 def _check_filters(settings: Sequence[Setting], filters: Sequence[str]) -> None:
-    if set(filters) == {"ekf"}:
-        only = {**ONLY_FOR, **dict.fromkeys(("particles", "resampler", "resample_below"), ("dfs", "fs2", "fs1"))}
-    else:
-        only = ONLY_FOR
     for setting in settings:
-        owners = only.get(setting.name)
+        owners = OF_FILTERS.get(setting.name)
         if owners and not set(owners) & set(filters):
             raise UsageError(
                 f"--set {setting.name} does not apply: it is for {listed(owners)}, and the recording has "
-                f"{', '.join(filters)}"
+                f"{listed(filters)}"
             )
 
 

@@ -22,7 +22,7 @@ SAID = {
     "position_error_rms_m": "position error (RMS)",
     "map_error_end_m": "map error",
     "nees_mean": "NEES",
-    "ancestors_end": "distinct ancestors",
+    "ancestors_end": "distinct ancestors left",
     "features": "features",
     "duplicates": "duplicates",
 }
@@ -59,6 +59,9 @@ def _of_filter(one: Filter, first: int) -> str:
     parts = []
     for row in _rows(one.key, tuple(SAID)):
         text = _instead(row, before.values[row.key], after.values[row.key])
+        if row.key == "ancestors_end":
+            shares = (float(column.series["ancestors_share"][-1]) for column in (before, after))
+            text += " ({1:.0%} of them instead of {0:.0%})".format(*shares)
         parts += [f"{SAID[row.key]} {text}"] if text else []
         if row.key == "ancestors_end":
             shares = (float(np.median(column.series["n_eff_share"])) for column in (before, after))

@@ -243,10 +243,16 @@ def test_time_travel_and_branches(live):
     go(panel, "Step")
     status = at(engine, 7)
     assert len(status.taken.step.filters["dfs"].trace.weighted.s) == 90
+    soon(lambda: f"**Beside {TRUNK}**, at step 7: Dual FastSLAM: error" in panel.tree.content)
+    mine, first = (panel._trend.at(branch, 7)["dfs"] for branch in ("6-particles-90", ""))
+    assert f"error {mine.error:.3g} m instead of {first.error:.3g} m" in panel.tree.content
+    assert f"N_eff {mine.n_eff:.0%} instead of {first.n_eff:.0%}" in panel.tree.content
+    assert f"diversity {mine.diversity:.0%} instead of {first.diversity:.0%}; FastSLAM 2.0" in panel.tree.content
     soon(lambda: tuple(panel.branches.options) == (TRUNK, "6-particles-90"))
     soon(lambda: panel.branches.value == "6-particles-90")
     panel.branches.value = TRUNK
     engine.wait(lambda s: s.branch == "" and s.step == 20)
+    soon(lambda: "Beside" not in panel.tree.content)
     panel.branches.value = "no such branch"
     soon(lambda: panel.branches.value == TRUNK)
     panel.time.value = 3

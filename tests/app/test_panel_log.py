@@ -342,6 +342,9 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
 
     panel = Panel(engine, Trend(), Records(), ["loop"], build, made)  # type: ignore[arg-type]
     try:
+        panel._closing.set()  # what is shown from here on, and when, is up to this thread alone
+        panel._wake.set()
+        panel._thread.join(PATIENCE)
         assert {"scans", "relations"} <= set(panel.layers)
         engine.step(end(source))
         status = engine.wait(lambda s: s.step == end(source), PATIENCE)

@@ -68,6 +68,8 @@ def test_a_branch_repeats_the_tree_below_its_name(branched):
     assert recording.params()["params"]["particles"] == 20
     named = recording.rows(f"{first}/plots/n_eff/dfs", "SeriesLines:names", "")
     assert named[0][1] == ["Dual FastSLAM, Seven particles, R × 4!"]
+    assert recording.params(first.removeprefix("/branch/"))["parent"] == ""
+    assert recording.params(second.removeprefix("/branch/"))["parent"] == first.removeprefix("/branch/")
     session_of_branch = [e for e in entities if e.startswith("/__properties/session-")]
     assert len(session_of_branch) == 2
 
