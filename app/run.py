@@ -128,8 +128,9 @@ class Run(SessionOptions):
         replay = read_replay(self.replay, self.branch)
         info = session_of_command(replay.command)
         first = replay.changes[0][1]
-        filters = session.estimators(replay.filters, info.mistake)
+        filters = session.estimators(replay.filters, replay.mistake)
         steps = min(replay.steps, len(info.source.steps))
+        info = info._replace(mistake=replay.mistake)
         info = info._replace(filters=filters, params=first.params, noise=first.noise, seed=replay.seed, steps=steps)
         check = Check(replay)
         code = self._show(info, replay.session_changes(), [check])

@@ -210,13 +210,14 @@ class Engine:
         """Look at none."""
         self._commands.put(lambda: self._set_pick("", -1, 0))
 
-    def reset(self, seed: int | None = None, source: Source | None = None) -> None:
-        """Begin again: with the settings of the desk, or in another world with its own."""
-        self._commands.put(lambda: self._reset(seed, source))
+    def reset(self, seed: int | None = None, source: Source | None = None, mistake: str | None = None) -> None:
+        """Begin again: with the settings of the desk, or in another world with its own; with a mistake in the filters,
+        an empty one for none, or with that of before."""
+        self._commands.put(lambda: self._reset(seed, source, mistake))
 
     def begin(self, info: SessionInfo) -> None:
         """Begin another session, with its own filters, parameters and seed."""
-        self._commands.put(lambda: self._reset(None, None, info))
+        self._commands.put(lambda: self._reset(None, None, None, info))
 
     def replace(self, old: Listener, new: Listener) -> None:
         """One listener for another, before a reset and from there: the old one's session is over."""
@@ -446,13 +447,16 @@ class Engine:
         self._stands()
         self.desk.put(self._history.branch.settings(self._history.done + 1))
 
-    def _reset(self, seed: int | None, source: Source | None, other: SessionInfo | None = None) -> None:
+    def _reset(
+        self, seed: int | None, source: Source | None, mistake: str | None, other: SessionInfo | None = None
+    ) -> None:
         self._pause()
         self.before_reset(self._history)
         info, settings = self._history.info, self.desk.read()
         if other is not None:
             keys = tuple(estimator.key for estimator in other.filters)
             info, settings = other, first_settings(other.source, keys, other.params, other.noise)
+        mistake = info.mistake if mistake is None else mistake
         if source is not None:
             settings = first_settings(source, settings.filters, source.params(), source.noise)
             command = shlex.join(["dualslam", "live", source.name])
@@ -460,7 +464,8 @@ class Engine:
             info = session.make_info(source, filters, command=command, seed=info.seed)
         if seed is not None:
             info = info._replace(seed=int(seed))
-        info = info._replace(params=settings.params, noise=settings.noise)
+        filters = session.estimators(settings.filters, mistake)
+        info = info._replace(filters=filters, params=settings.params, noise=settings.noise, mistake=mistake)
         self.desk.put(settings)
         self._number += 1
         self._history = History(info, settings, self._number)

@@ -1,6 +1,6 @@
 """A live session as a script: what was asked for at which step, so that it can be run again, headless, bit for bit.
 
-    {"schema": 1, "command": "dualslam live ...", "seed": n, "world": name,
+    {"schema": 1, "command": "dualslam live ...", "seed": n, "world": name, "mistake": name | null,
      "branches": [{"name": "", "parent": null, "at": 0, "steps": n, "digest": text,
                    "changes": [{"step": i, "params": {...}, "noise": {...}, "filters": [...]}, ...]}, ...]}
 
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from app.errors import UsageError, listed, sentence, suggestion
 from app.live.history import Branch, History, digest_of
 from app.live.settings import Settings, ordered, plain
-from app.options import FILTERS
+from app.options import FILTERS, MISTAKES
 from app.session import Change
 from app.types import SessionInfo, SessionStep
 from slam.limits import PARAMS
@@ -37,6 +37,7 @@ def script_of(history: History) -> dict[str, Any]:
         "command": info.command,
         "seed": info.seed,
         "world": info.source.name,
+        "mistake": info.mistake or None,
         "branches": [_branch(branch) for branch in history.branches],
     }
 
@@ -63,6 +64,8 @@ class Replay(NamedTuple):
     own_from: int
     """The first step that is the branch's own."""
     digest: str
+    mistake: str = ""
+    """That the filters had in them."""
 
     @property
     def filters(self) -> tuple[str, ...]:
@@ -113,9 +116,9 @@ def replay_of(script: Any, name: str, where: str) -> Replay:
         found = branches[name]
         replay = Replay(
             str(script["command"]), int(script["seed"]), int(found["steps"]), tuple(changes), int(found["at"]) + 1,
-            str(found["digest"]),
+            str(found["digest"]), script.get("mistake") or "",
         )  # fmt: skip
-        if replay.changes[0][0] != 1 or replay.seed < 0:
+        if replay.changes[0][0] != 1 or replay.seed < 0 or replay.mistake not in ("", *MISTAKES):
             raise ValueError
         return replay
     except UsageError:

@@ -12,6 +12,7 @@ from app import colours
 from app.live.engine import Status
 from app.live.trend import Now, Trend, Trends
 from app.options import FILTERS
+from app.session import estimators
 from slam.estimators import ESTIMATORS
 from slam.types import Floats
 
@@ -77,7 +78,8 @@ def table(status: Status) -> str:
     for key, update in (step.filters if step else {}).items():
         m, K = update.measures, len(update.trace.weighted.log_w)
         of_many = (f"{m.n_eff / K:.0%}", f"{m.diversity:.0%}") if key != "ekf" else ("", "")
-        title = f"{ESTIMATORS[key].title} ({colours.word(key)})"
+        (shown,) = estimators([key], status.info.mistake)
+        title = f"{shown.title} ({colours.word(key)})"
         cells = [title, f"{K}", *of_many, _number(m.position_error_m), _number(m.nees_position), f"{m.features}"]
         rows.append(f"| {' | '.join(cells)} | {_number(1e3 * update.seconds)} |")
     return "\n".join(rows)

@@ -18,7 +18,7 @@ from app.errors import sentence
 from app.live.diagnoses import NOTHING, Diagnoses
 from app.live.engine import Engine, Status
 from app.live.trend import Trend
-from app.options import FILTERS, PRESETS
+from app.options import FILTERS, MISTAKES, PRESETS
 from app.panel import now
 from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
 from app.panel.descent import Ancestry
@@ -63,7 +63,7 @@ NO_PICK = "Click a particle in the picture to see all about it. Drag zooms into 
 
 STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
-NO_PRESET, NO_LESSON = "-", "-"
+NO_PRESET, NO_LESSON, NO_MISTAKE = "-", "-", "none"
 
 NO_STEP = "-"
 """Of the steps that a diagnosis names, none."""
@@ -299,6 +299,12 @@ class Panel:
         self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
         self.preset.on_update(lambda _: self._set_preset())
         self.parameters = self.controls.add(filter_controls(source))
+        self.mistake = gui.add_dropdown(
+            "mistake",
+            (NO_MISTAKE, *MISTAKES),
+            initial_value=status.info.mistake or NO_MISTAKE,
+            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
+        )
 
     def _build_travel(self, status: Status) -> None:
         gui, engine = self._gui, self._engine
@@ -436,7 +442,8 @@ class Panel:
             if self._begins_lesson(number):
                 return ""
             other = self.world.value != status.info.source.name and self.world.value in self._worlds
-            self._engine.reset(number, self._open_world(self.world.value) if other else None)
+            mistake = self.mistake.value if self.mistake.value in MISTAKES else ""
+            self._engine.reset(number, self._open_world(self.world.value) if other else None, mistake)
             if other:
                 self._lesson = ""
             return ""

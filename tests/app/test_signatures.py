@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,14 @@ from app.diagnosis.evidence import Record, record_of
 from app.diagnosis.findings import Case
 from app.diagnosis.marks import Marks, marks_of, misplaced_first
 from app.diagnosis.signatures import LEVEL, SIGNATURES, look
+from app.errors import UsageError
+from app.live.engine import Engine
+from app.live.script import Check, replay_of, script_of
 from app.options import MISTAKES as NAMES
+from app.panel import now
 from app.recording import Recorder
 from app.recording.reading import Recording
+from app.run import check_mistake
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.features import Point
@@ -156,7 +162,7 @@ def test_where_a_scheme_puts_the_first_particle(scheme: ResamplerName) -> None:
             due += 1
             caught += misplaced_first(w, np.concatenate([[0], selected[1:]]), params) == 1.0
     assert due > 50
-    least = {"systematic": 0.9, "residual": 0.3}.get(scheme, 0.0)
+    least = {"systematic": 0.75, "residual": 0.3}.get(scheme, 0.0)
     assert caught >= least * due
     assert least or not caught
 
@@ -206,3 +212,49 @@ def test_a_recording_tells_what_is_wrong_with_it(tmp_path: Path) -> None:
     assert named(right) == []
     case = Case("fs2", "FastSLAM 2.0", False, {}, wrong)
     assert [f.kind for f in diagnose(case).findings if f.topic == "mistake"] == ["features-first"]
+
+
+# On the command line and live -----------------------------------------------------------------------------------------
+
+
+def test_where_one_cannot_make_it() -> None:
+    with pytest.raises(UsageError, match=r"make in Dual FastSLAM and FastSLAM 1.0; expected --filters with fs2$"):
+        check_mistake("features-first", ("dfs", "fs2", "fs1"))
+    with pytest.raises(UsageError, match=r"cannot make in EKF-SLAM; expected --filters with dfs, fs2 or fs1$"):
+        check_mistake("keep-first", ("dfs", "ekf"))
+    check_mistake("features-first", ("fs2",))
+
+
+def test_a_mistake_is_made_after_a_reset_and_again_in_a_replay() -> None:
+    """The same session headless: with the mistake bit for bit, without it not."""
+    source = build("paper-line")
+    filters = session.estimators(["dfs", "ekf"])
+    engine = Engine(session.make_info(source, filters, source.params(particles=10), seed=1))
+    engine.start()
+    try:
+        engine.reset(mistake="resample-always")
+        engine.step(6)
+        status = engine.wait(lambda status: status.step == 6)
+        assert status.info.mistake == "resample-always"
+        assert "resample-always" in now.table(status)
+        scripts: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        engine.call(lambda history: scripts.put(script_of(history)))
+        script = scripts.get(timeout=30.0)
+        for mistake, kept in ((None, "resample-always"), ("", "")):
+            number = engine.status.number
+            engine.reset(mistake=mistake)
+            assert engine.wait(lambda status, old=number: status.number > old).info.mistake == kept
+    finally:
+        engine.close()
+
+    replay = replay_of(script, "", "here")
+    assert replay.mistake == "resample-always"
+    for mistake, same in ((replay.mistake, True), ("", False)):
+        info = session.make_info(
+            source, session.estimators(replay.filters, mistake), replay.changes[0][1].params, seed=1
+        )
+        check = Check(replay)
+        session.run(info._replace(steps=6), [check])
+        assert check.same == same
+    with pytest.raises(UsageError, match="is no session"):
+        replay_of({**script, "mistake": "none such"}, "", "here")

@@ -65,6 +65,7 @@ def test_schema(tmp_path):
         "world",
         "title",
         "seed",
+        "mistake",
         "steps",
         "complete",
         "params",
