@@ -80,8 +80,9 @@ class ProgressBar:
 
 def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     """What was run, the table, and what went wrong on the way."""
-    what = f"{len(summary.steps)} steps, {summary.seconds():.0f} s, seed {info.seed}"
-    console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}")
+    how_long = f"{summary.seconds():.0f} s" if info.source.has_clock else "no time stamps"
+    what = f"{len(summary.steps)} step{'s' if len(summary.steps) != 1 else ''}, {how_long}, seed {info.seed}"
+    console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}", soft_wrap=True)
     console.print(f"{what}, {info.params.association} association")
     console.print()
     print_whole(console, table(summary))
@@ -181,6 +182,8 @@ def _rows(summary: Summary) -> list[tuple[str, Callable[[FilterSeries], str]]]:
         return " / ".join(str(n) for n in series.association.values()) if series.association else ""
 
     def speed(series: FilterSeries) -> str:
+        if not summary.info.source.has_clock:
+            return ""
         return f"{number(summary.seconds() / max(sum(series.seconds), 1e-12))} x"
 
     found: list[tuple[str, Callable[[FilterSeries], str]]] = [("particles", lambda s: str(s.particles))]

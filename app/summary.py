@@ -17,7 +17,7 @@
         "update_ms": {"median", "p95", "total_s"}, "real_time_factor"}}}
 
 - SI units and radians; `update_ms` in milliseconds, compiling and loading compiled kernels not counted.
-- `time_s`: of a world, since its beginning; of a log, the log's own stamp.
+- `time_s`: of a world, since its beginning; of a log, the log's own stamp, or without stamps the number of the scan.
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
@@ -31,7 +31,8 @@
   log alone; `left_out` are those whose scans are not in the part of the log that was run.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
-- `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time.
+- `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time;
+  null for a log without time stamps.
 - With `--align` the errors are those after the best rigid motion of the whole path onto the truth, and NEES is null.
 - Same seed, same summary, except `update_ms` and `real_time_factor`: compare with `without_timings`.
 """
@@ -235,7 +236,7 @@ class Summary:
                 "p95": plain(np.percentile(milliseconds, 95)) if total else None,
                 "total_s": total,
             },
-            "real_time_factor": plain(self.seconds() / total) if total else None,
+            "real_time_factor": plain(self.seconds() / total) if total and self.info.source.has_clock else None,
         }
 
 

@@ -13,7 +13,7 @@ from app import cli
 from slam.estimators import ESTIMATORS
 from slam.geometry import compose, invert
 from tests.app.drive import STEPS, Drive, tum
-from tests.scenarios.laser_logs import plain_log, write
+from tests.scenarios.laser_logs import NOTHING, flaser, plain_log, readings, write
 
 KEYS = ("dfs", "fs2", "ekf")
 
@@ -164,3 +164,36 @@ def test_a_robot_at_rest_is_a_short_run(tmp_path: Path, capsys: pytest.CaptureFi
     assert run(log, "--trajectory", tmp_path) == 0
     assert "2 steps, 1500 s" in capsys.readouterr().out
     assert len(tum(tmp_path / "ekf.tum")[0]) == 3000
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_log_without_time_stamps_has_no_seconds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stamped: bool
+) -> None:
+    poses = np.outer(np.arange(20), [0.3, 0.0, 0.0])
+    lines = [flaser(readings(k), p, p, 0.5 * k if stamped else None) for k, p in enumerate(poses)]
+    log, summary = write(tmp_path, "".join(lines)), tmp_path / "s.json"
+    assert run(log, "--summary", summary) == 0
+    out = capsys.readouterr().out
+    assert run(log) == 0
+    out = capsys.readouterr().out
+    assert ("no time stamps" in out) != stamped
+    assert (", 10 s, " in out) == stamped
+    assert ("times real time" in out) == stamped
+    found = json.loads(summary.read_text())["filters"]["dfs"]
+    assert (found["real_time_factor"] is None) != stamped
+
+
+def test_what_is_odd_in_a_part_is_said_before_it_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A minute without any return, and an end beyond that of the log; and the part is named."""
+    poses = np.outer(np.arange(100), [0.3, 0.0, 0.0])
+    lines = [
+        flaser(np.full(181, NOTHING) if 10 <= k <= 90 else readings(k), p, p, 1000.0 + 0.75 * k)
+        for k, p in enumerate(poses)
+    ]
+    assert run(write(tmp_path, "".join(lines)), "--from", 5, "--to", 200, "--every", 2) == 0
+    out, err = capsys.readouterr()
+    blind = "nothing came back to the laser for 58 s, in 40 scans from scan 11 on; filters are blind there"
+    assert f"warning: some: {blind}" in err
+    assert "warning: some: its last scan is 99, and so that of the part, which was to go on to 200" in err
+    assert out.splitlines()[0].endswith("; scans 5 to 99 of it, every 2nd")
