@@ -19,6 +19,7 @@ from app.relations import PathErrors
 from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
+from scenarios.logs.learning import odometry_believed
 from slam.features import Point
 
 SHOWN_EVENTS = 3
@@ -84,6 +85,8 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     what = f"{len(summary.steps)} step{'s' if len(summary.steps) != 1 else ''}, {how_long}, seed {info.seed}"
     console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}", soft_wrap=True)
     console.print(f"{what}, {info.params.association} association")
+    for sentence in on_odometry(info, summary):
+        console.print(sentence, soft_wrap=True, markup=False)
     console.print()
     print_whole(console, table(summary))
     console.print()
@@ -102,6 +105,28 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
             console.print(f"[{_style(key)}]{series.title}[/], step {step}: {escape(text)}", soft_wrap=True)
         if len(events) > SHOWN_EVENTS:
             console.print(f"[{_style(key)}]{series.title}[/]: {len(events) - SHOWN_EVENTS} more events")
+
+
+def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
+    """Sentences on the odometry of a log of a laser: what is believed to be wrong with it, and whether matching scans
+    corrected it; of a world that only where it did."""
+    told = []
+    noise = odometry_believed(info.source.motion, info.params.believed)
+    if noise is not None:
+        per_metre, per_radian = math.degrees(noise.turn_per_metre), math.degrees(noise.turn_per_radian)
+        told.append(
+            f"odometry, as its scans show: off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways "
+            f"and {number(per_metre)}° after one metre, {number(noise.slip)} m and {number(per_radian)}° after a radian"
+        )
+    steps, used = summary.unmatched.total(), summary.unmatched[""]
+    if steps:
+        reasons = [f"{reason} ({count})" for reason, count in summary.unmatched.most_common() if reason]
+        why = f"; not used: {', '.join(reasons)}" if reasons else ""
+        told.append(f"scan matching: used in {used} of {steps} step{'s' if steps != 1 else ''}{why}")
+    elif noise is not None:
+        off = info.params.matching == "off"
+        told.append(f"scan matching: {'off' if off else 'left alone, since the odometry is as good'}")
+    return told
 
 
 def print_whole(console: Console, content: Table) -> None:

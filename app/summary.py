@@ -2,7 +2,9 @@
 
     {"schema": 1, "version": "0.1.0", "world": name, "title": text, "seed": n,
      "steps": n, "complete": bool,      steps done; whether these are all that were asked for
-     "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool},
+     "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool,
+        "odometry": {"along", "lateral", "slip", "turn_per_metre", "turn_per_radian"} | null},
+     "matching": {"steps": n, "used": n, "reasons": {reason: n, ...}} | null,
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
      "relations": {"file": text, "relations": n, key or "odometry": {"used", "left_out",
         "translation_m": {"mean", "std", "median", "p95", "max"} | null, "rotation_rad": the same}, ...} | null,
@@ -31,6 +33,10 @@
   log alone; `left_out` are those whose scans are not in the part of the log that was run.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
+- `odometry`: of a log of a laser, what is believed to be wrong with its odometry, as its own scans show it: deviations
+  in metres and radians after one metre, `slip` and `turn_per_radian` after turning by one radian.
+- `matching`: at how many steps scans were matched, at how many of these that was used, and why not at the others; null
+  if there were none.
 - `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time;
   null for a log without time stamps.
 - With `--align` the errors are those after the best rigid motion of the whole path onto the truth, and NEES is null.
@@ -41,6 +47,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -53,6 +60,7 @@ from app.relations import PathErrors
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
+from scenarios.logs.learning import odometry_believed
 from slam.alignment import align_rigid
 from slam.geometry import wrap_all
 from slam.types import UNKNOWN_TAG, Floats
@@ -123,6 +131,8 @@ class Summary:
         self.filters: dict[str, FilterSeries] = {}
         self.observed = 0
         """Observations of all steps."""
+        self.unmatched: Counter[str] = Counter()
+        """Steps whose scans were matched, by the reason why that was not used; empty where it was."""
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
@@ -142,6 +152,8 @@ class Summary:
             (step.index, event.who, event.text) for event in self._watch.step(step) if event.kind != "changed"
         ]
         self.observed += len(step.frame.z)
+        if step.match is not None:
+            self.unmatched[step.match.reason] += 1
         if self.paths is not None:
             self.paths.step(step)
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
@@ -166,6 +178,8 @@ class Summary:
         params["noise"] = _nested(flat(info.noise)) if info.source.kind == "world" else None
         params["options"] = {name: plain(value) for name, value in info.source.options.items()}
         params["align"] = self.align
+        odometry = odometry_believed(info.source.motion, info.params.believed)
+        params["odometry"] = None if odometry is None else plain(odometry._asdict())
         return {
             "schema": SCHEMA,
             "version": version(),
@@ -175,11 +189,18 @@ class Summary:
             "steps": len(self.steps),
             "complete": len(self.steps) == info.steps,
             "params": params,
+            "matching": self._matching(),
             "changes": [list(change) for change in self.changes],
             "events": [list(event) for event in self.events],
             "relations": self._relations(),
             "filters": {key: self._filter(series) for key, series in self.filters.items()},
         }
+
+    def _matching(self) -> dict[str, Any] | None:
+        if not self.unmatched:
+            return None
+        reasons = {reason: count for reason, count in self.unmatched.most_common() if reason}
+        return {"steps": self.unmatched.total(), "used": self.unmatched[""], "reasons": reasons}
 
     def _relations(self) -> dict[str, Any] | None:
         if self.paths is None:

@@ -62,6 +62,12 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     for key, error in (("ekf", "translation_m"), ("dfs", "rotation_rad")):
         assert relations[key][error]["mean"] < 0.5 * relations["odometry"][error]["mean"]
     out = capsys.readouterr().out
+    matching = found["matching"]
+    assert matching["steps"] == found["steps"] > matching["used"] > 0.8 * found["steps"]
+    assert f"scan matching: used in {matching['used']} of {found['steps']} steps; not used: first scan (1)" in out
+    noise = found["params"]["odometry"]
+    assert 0.0 < noise["along"] == found["params"]["believed"]["odometry"]
+    assert f"and {math.degrees(noise['turn_per_metre']):.3g}° after one metre" in out
     (line,) = [line for line in out.splitlines() if line.startswith("odometry ")]
     assert f"{relations['odometry']['translation_m']['mean']:.3g} m" in line
     assert f"{math.degrees(relations['odometry']['rotation_rad']['max']):.3g}°" in line
