@@ -21,6 +21,7 @@ from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
 from scenarios.logs.learning import odometry_believed
 from slam.features import Point
+from slam.perception.odometry_noise import OdometryNoise
 
 SHOWN_EVENTS = 3
 """Of each filter."""
@@ -113,11 +114,7 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
     told = []
     noise = odometry_believed(info.source.motion, info.params.believed)
     if noise is not None:
-        per_metre, per_radian = math.degrees(noise.turn_per_metre), math.degrees(noise.turn_per_radian)
-        told.append(
-            f"odometry, as its scans show: off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways "
-            f"and {number(per_metre)}° after one metre, {number(noise.slip)} m and {number(per_radian)}° after a radian"
-        )
+        told.append(in_words(noise))
     steps, used = summary.unmatched.total(), summary.unmatched[""]
     if steps:
         reasons = [f"{reason} ({count})" for reason, count in summary.unmatched.most_common() if reason]
@@ -127,6 +124,15 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
         off = info.params.matching == "off"
         told.append(f"scan matching: {'off' if off else 'left alone, since the odometry is as good'}")
     return told
+
+
+def in_words(noise: OdometryNoise) -> str:
+    """What is believed to be wrong with an odometry."""
+    per_metre, per_radian = math.degrees(noise.turn_per_metre), math.degrees(noise.turn_per_radian)
+    return (
+        f"odometry, as its scans show, off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways and "
+        f"{number(per_metre)}° after one metre, {number(noise.slip)} m and {number(per_radian)}° after a radian"
+    )
 
 
 def print_whole(console: Console, content: Table) -> None:

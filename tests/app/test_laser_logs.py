@@ -203,3 +203,30 @@ def test_what_is_odd_in_a_part_is_said_before_it_runs(tmp_path: Path, capsys: py
     assert f"warning: some: {blind}" in err
     assert "warning: some: its last scan is 99, and so that of the part, which was to go on to 200" in err
     assert out.splitlines()[0].endswith("; scans 5 to 99 of it, every 2nd")
+
+
+def test_a_log_can_be_looked_at_before_it_is_run(drive: Drive, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.entry(["worlds", str(drive.log)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("drive  CARMEN drive.log: 60 scans of 181 beams, ")
+    way = np.hypot(*np.diff(drive.odometry[:, :2], axis=0).T).sum()
+    (line,) = [line for line in out.splitlines() if "by odometry in" in line]
+    assert float(line.split(" m ")[0]) == pytest.approx(way, rel=0.03)
+    steps = int(line.removesuffix(" observing steps").split()[-1])
+    assert "60 scans, of which keyframes are " in line
+    assert steps == pytest.approx(STEPS // 2 + 4, abs=3)
+    for part in (
+        "dotted the route",
+        "laser: 181 beams, 1° apart",
+        "sideways and",
+        "truth: not known",
+        "--matching auto",
+    ):
+        assert part in out
+    assert cli.entry(["worlds", str(drive.log), "--write", "x.toml"]) == 2
+    assert "--write does not apply to" in capsys.readouterr().err
+
+
+def test_the_help_tells_the_defaults_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.entry(["run", "some.log", "--help"]) == 0
+    assert "1.0; 0.03 for logs of a laser" in " ".join(capsys.readouterr().out.split())
