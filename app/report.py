@@ -91,6 +91,10 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     console.print()
     print_whole(console, table(summary))
     console.print()
+    if alone := summary.errors_alone():
+        errors = ", ".join(f"{key} alone {number(error)} m" for key, error in alone.items())
+        console.print(f"position error, RMS, without a filter: {errors}", soft_wrap=True)
+        console.print()
     if summary.paths is not None:
         titles = {key: series.title for key, series in summary.filters.items()}
         print_whole(console, relations_table(summary.paths, titles))

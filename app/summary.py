@@ -8,6 +8,7 @@
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
      "relations": {"file": text, "relations": n, key or "odometry": {"used", "left_out",
         "translation_m": {"mean", "std", "median", "p95", "max"} | null, "rotation_rad": the same}, ...} | null,
+     "alone": {"odometry": m, "matching": m} | null,
      "filters": {key: {
         "title": text, "particles": K (at the end),
         arrays, one entry per observing step:
@@ -33,6 +34,7 @@
   log alone; `left_out` are those whose scans are not in the part of the log that was run.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
+- `alone`: of a log, the RMS of the position error without any filter, and of scan matching if scans were matched.
 - `odometry`: of a log of a laser, what is believed to be wrong with its odometry, as its own scans show it: deviations
   in metres and radians after one metre, `slip` and `turn_per_radian` after turning by one radian.
 - `matching`: at how many steps scans were matched, at how many of these that was used, and why not at the others; null
@@ -56,6 +58,7 @@ import numpy as np
 
 from app.events import Watch
 from app.files import write_whole
+from app.paths import Paths
 from app.relations import PathErrors
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
@@ -63,6 +66,7 @@ from app.version import version
 from scenarios.logs.learning import odometry_believed
 from slam.alignment import align_rigid
 from slam.geometry import wrap_all
+from slam.metrics import rms
 from slam.types import UNKNOWN_TAG, Floats
 
 SCHEMA = 1
@@ -137,6 +141,8 @@ class Summary:
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
         self.info = info
+        self._ways = Paths()
+        self._ways.begin(info)
         self.filters = {f.key: FilterSeries(f.title) for f in info.filters}
         self._watch = Watch({f.key: f.title for f in info.filters})
         if self.paths is not None:
@@ -145,6 +151,7 @@ class Summary:
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
         self.steps.append(step.index)
+        self._ways.step(step)
         self.times.append(float(step.frame.time))
         self.truth.append(np.full(3, np.nan) if step.truth is None else step.truth)
         self.changes += [(step.index, sentence) for sentence in step.changes]
@@ -193,6 +200,7 @@ class Summary:
             "changes": [list(change) for change in self.changes],
             "events": [list(event) for event in self.events],
             "relations": self._relations(),
+            "alone": self.errors_alone() or None,
             "filters": {key: self._filter(series) for key, series in self.filters.items()},
         }
 
@@ -201,6 +209,21 @@ class Summary:
             return None
         reasons = {reason: count for reason, count in self.unmatched.most_common() if reason}
         return {"steps": self.unmatched.total(), "used": self.unmatched[""], "reasons": reasons}
+
+    def errors_alone(self) -> dict[str, float]:
+        """[m] RMS of the position error of a log without any filter, by what has it; empty where nobody knows."""
+        truth = np.array(self.truth).reshape(-1, 3)[:, :2]
+        known = np.isfinite(truth).all(axis=1)
+        if self.info.source.kind != "log" or not known.any():
+            return {}
+        found = {}
+        for key, poses in self._ways.alone().items():
+            places = poses[known, :2]
+            if self.align and len(places) >= 2:
+                R, t = align_rigid(places, truth[known])
+                places = places @ R.T + t
+            found[key] = rms(np.linalg.norm(places - truth[known], axis=1))
+        return found
 
     def _relations(self) -> dict[str, Any] | None:
         if self.paths is None:

@@ -105,6 +105,8 @@ class Writer:
         self._judge = judge
         self._last: SessionStep | None = None
         self._pace = Pace(DUTY)
+        self._complete = 0
+        """The last step of which every picture was written."""
         self._judged = 0
         """The last step of which relations were written."""
         self._limits = limits_for(info.steps)
@@ -242,22 +244,30 @@ class Writer:
             with self._pace.kept():
                 self._write_scans(step)
                 self._write_relations(step)
+            if everything or due(step.index, self._info.steps, self._limits.paths):
+                self._complete = step.index
 
     def close(self) -> None:
         """Complete the file."""
         for writer in (self, *self._branches.values()):
-            writer.judge_at_last()
+            writer.complete()
             found = None if writer._survey is None else writer._survey.found()
             writer._shown = writer._shown._replace(extent=found or writer._shown.extent)
         if self._survey is not None:
             self.show()
         self._stream.close()
 
-    def judge_at_last(self) -> None:
-        """Say how well the paths fit relations as they are known in the end, if that is not said."""
-        if self._last is not None:
-            self._stream.set_time(3 * self._last.index, *self._now(self._last))
-            self._write_relations(self._last)
+    def complete(self) -> None:
+        """Bring all pictures up to the last step, and how well the paths fit relations, if they are older."""
+        step = self._last
+        if step is None:
+            return
+        if self._complete != step.index:
+            self._write_pictures(step, 3 * (step.index - 1) + 1, self._now(step), "all")
+        self._stream.set_time(3 * step.index, *self._now(step))
+        if self._complete != step.index:
+            self._write_scans(step)
+        self._write_relations(step)
 
     def _now(self, step: SessionStep) -> tuple[int, float]:
         """Of a step, on the timelines that are not about parts of it."""

@@ -62,6 +62,9 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     for key, error in (("ekf", "translation_m"), ("dfs", "rotation_rad")):
         assert relations[key][error]["mean"] < 0.5 * relations["odometry"][error]["mean"]
     out = capsys.readouterr().out
+    assert found["alone"]["matching"] < 0.5 * found["alone"]["odometry"] < 2.0
+    numbers = ", ".join(f"{key} alone {found['alone'][key]:.3g} m" for key in ("odometry", "matching"))
+    assert f"without a filter: {numbers}" in out
     matching = found["matching"]
     assert matching["steps"] == found["steps"] > matching["used"] > 0.8 * found["steps"]
     assert f"scan matching: used in {matching['used']} of {found['steps']} steps; not used: first scan (1)" in out

@@ -355,12 +355,16 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
         status = engine.wait(lambda s: s.step == end(source), PATIENCE)
         view[0].show(status)
         panel._refresh()
-        breaks = judge.breaks(0, "", status.taken.step)["dfs"]  # type: ignore[union-attr]
+        found = judge.breaks(0, "", status.taken.step)  # type: ignore[union-attr]
+        breaks = found["dfs"]
         lines = panel.server.scene.get_handle_by_name("/map/dfs/relations")
         assert lines is not None
         assert lines.visible == bool((breaks.off > 0.1).any())  # type: ignore[attr-defined]
         text = view[0].describe_relations()
         assert f"Dual FastSLAM: {breaks.told()}" in text
+        assert text.endswith(
+            f"odometry alone: {found['odometry'].told()}\n- relations, matching alone: {found['matching'].told()}"
+        )
         assert text in panel.table.content
         view[0].visible("relations", False)
         assert not lines.visible

@@ -72,6 +72,7 @@ def test_schema(tmp_path):
         "changes",
         "events",
         "relations",
+        "alone",
         "filters",
     ]
     assert (summary["schema"], summary["world"], summary["seed"]) == (SCHEMA, "loop", 2)
