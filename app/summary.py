@@ -243,7 +243,9 @@ class Summary:
     def errors(self, series: FilterSeries) -> dict[str, Floats]:
         """Series (T,) that depend on the truth, after alignment if that was asked for."""
         names = ("position_error_m", "best_position_error_m", "heading_error_rad", "nees", "nees_pose")
-        found = {name: series.array(name) for name in names}
+        found = {name: series.array(name) for name in (*names, "duplicates_so_far")}
+        if self.info.source.kind == "log" and not self.observed:  # nobody knows whose features an empty map lacks
+            found["duplicates_so_far"][:] = np.nan
         truth, estimate = np.array(self.truth).reshape(-1, 3), np.array(series.estimate).reshape(-1, 3)
         known = np.isfinite(truth[:, :2]).all(axis=1)
         if self.align and known.sum() >= 2:
@@ -261,7 +263,7 @@ class Summary:
         milliseconds = 1e3 * np.array(series.seconds)
         total = float(np.sum(series.seconds))
         arrays = {name: errors.get(name, series.series[name]) for name in _SERIES}
-        arrays["duplicates_so_far"] = [_count(value) for value in series.series["duplicates_so_far"]]
+        arrays["duplicates_so_far"] = [_count(value) for value in errors["duplicates_so_far"]]
         duplicates = arrays["duplicates_so_far"]
         return {
             "title": series.title,

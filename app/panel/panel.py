@@ -450,7 +450,7 @@ class Panel:
         _set(self.record, "label", "Stop recording" if self._records.running else "Record")
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)
-        self.plots.show(self._trend.of(status.branch, status.step))
+        self.plots.show(self._trend.of(status.branch, status.step), now.knows_truth(status.info))
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

@@ -233,3 +233,15 @@ def test_a_log_can_be_looked_at_before_it_is_run(drive: Drive, capsys: pytest.Ca
 def test_the_help_tells_the_defaults_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.entry(["run", "some.log", "--help"]) == 0
     assert "1.0; 0.03 for logs of a laser" in " ".join(capsys.readouterr().out.split())
+
+
+def test_of_a_log_without_walls_nothing_is_told_of_duplicates(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses = np.outer(np.arange(20), [0.3, 0.0, 0.0])
+    assert run(write(tmp_path, plain_log(poses, 5)), "--summary", tmp_path / "s.json") == 0
+    out = capsys.readouterr().out
+    assert "no wall was seen" in out
+    assert "duplicates" not in out
+    found = json.loads((tmp_path / "s.json").read_text())["filters"]["dfs"]
+    assert found["duplicates"] is None

@@ -366,6 +366,8 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
             f"odometry alone: {found['odometry'].told()}\n- relations, matching alone: {found['matching'].told()}"
         )
         assert text in panel.table.content
+        assert "NEES" not in panel.table.content  # nobody knows the truth
+        assert not panel.plots._error._handle.visible
         view[0].visible("relations", False)
         assert not lines.visible
         engine.reset(source=build("loop"))
@@ -374,5 +376,7 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
         assert not {"scans", "relations"} & set(panel.layers)
         assert view[0].describe_relations() == ""
         assert "relations" not in panel.table.content
+        assert "| error, m | NEES |" in panel.table.content
+        assert panel.plots._error._handle.visible
     finally:
         panel.close()
