@@ -105,6 +105,8 @@ class Writer:
         self._judge = judge
         self._last: SessionStep | None = None
         self._pace = Pace(DUTY)
+        self._pictured = 0
+        """The last step of which there are pictures."""
         self._complete = 0
         """The last step of which every picture was written."""
         self._judged = 0
@@ -213,6 +215,7 @@ class Writer:
     def _write_pictures(self, step: SessionStep, stage: int, now: tuple[int, float], detail: Detail) -> None:
         """All but numbers."""
         everything = detail == "all"  # however seldom its turn is in a long run
+        self._pictured = step.index
         self._write_surroundings(step, everything)
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
@@ -262,10 +265,14 @@ class Writer:
         step = self._last
         if step is None:
             return
-        if self._complete != step.index:
-            self._write_pictures(step, 3 * (step.index - 1) + 1, self._now(step), "all")
+        old = self._complete != step.index
+        if self._pictured != step.index:
+            self._write_pictures(step, 3 * (step.index - 1) + 1, self._now(step), "present")
         self._stream.set_time(3 * step.index, *self._now(step))
-        if self._complete != step.index:
+        if old:
+            self._write_surroundings(step, everything=True)
+            for key, update in step.filters.items():
+                self._write_memory(key, update, step.index, everything=True, past=True)
             self._write_scans(step)
         self._write_relations(step)
 
