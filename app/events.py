@@ -21,6 +21,8 @@ FEW = 0.1
 QUIET = 10
 """[steps] that something must have been away before its return is told."""
 
+UNMATCHED = "not matched"
+
 BLIND = 30.0
 """[s] without an observation after which that is told."""
 
@@ -60,6 +62,8 @@ class Watch:
         """Steps since then."""
         self._blind = False
         """Whether that was told."""
+        self._matching = False
+        """Whether the last scan went to scan matching."""
         self._travelled = 0.0
         self._odometry: Floats | None = None
         self._loops = {key: Loops() for key in titles}
@@ -75,13 +79,23 @@ class Watch:
         self._odometry = step.odometry
         events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
         events += self._sight(step.frame)
-        # a first scan has nothing to be matched with, and says nothing of the next ones
-        if step.match is not None and step.index > 1 and self._begins("", "matching", not step.match.used, step.index):
-            events.append(Event("INFO", f"Scan matching is not used: {step.match.reason}", kind="not matched"))
+        events += self._matched(step)
         for key, update in step.filters.items():
             told = self._of_filter(key, update, step)
             events += [Event(level, f"{self._titles[key]} {text}", key, kind) for kind, level, text in told]
         return events
+
+    def _matched(self, step: SessionStep) -> Iterator[Event]:
+        """That scan matching is not used, and when it is used again for as long as that would be told anew."""
+        before, self._matching = self._matching, step.match is not None
+        # the first scan, also after matching was off, has nothing to be matched with, and says nothing of the next ones
+        if step.match is None or not before:
+            return
+        missed = self._last.get(("", UNMATCHED), -QUIET)
+        if self._begins("", UNMATCHED, not step.match.used, step.index):
+            yield Event("INFO", f"Scan matching is not used: {step.match.reason}", kind="not matched")
+        elif step.match.used and step.index - missed == QUIET:
+            yield Event("INFO", f"Scan matching is used again since step {missed + 1}", kind="matched again")
 
     def _sight(self, frame: Frame) -> Iterator[Event]:
         """That nothing is seen, when that has lasted; and when it ends."""

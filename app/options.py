@@ -66,11 +66,14 @@ def named(name: str, text: str) -> Any:
 
 _USUAL = {field.name: default(str(field.default)) for field in dataclasses.fields(Params)}
 _USUAL["floor_angle"] = default(f"{math.degrees(Params().floor_angle):g}")
+_USUAL |= {
+    name: default(f"{getattr(Params(), name)}; {value} for logs of a laser") for name, value in presets.LOG.items()
+}
 
 
 @dataclass(frozen=True)
 class FilterOptions:
-    """What the filters do. Worlds and logs may have defaults of their own: dualslam worlds NAME."""
+    """What the filters do. Worlds and logs may have defaults of their own: dualslam worlds NAME|LOG."""
 
     particles: Annotated[int | None, values.whole("--particles", "K", PARAMS["particles"]), _USUAL["particles"]] = None
     """Number of particles."""

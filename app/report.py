@@ -19,8 +19,10 @@ from app.relations import PathErrors
 from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
+from scenarios.logs.learning import odometry_believed
 from slam.features import Point
 from slam.mistakes import MISTAKES
+from slam.perception.odometry_noise import OdometryNoise
 
 SHOWN_EVENTS = 3
 """Of each filter."""
@@ -81,15 +83,22 @@ class ProgressBar:
 
 def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     """What was run, the table, and what went wrong on the way."""
-    what = f"{len(summary.steps)} steps, {summary.seconds():.0f} s, seed {info.seed}"
-    console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}")
+    how_long = f"{summary.seconds():.0f} s" if info.source.has_clock else "no time stamps"
+    what = f"{len(summary.steps)} step{'s' if len(summary.steps) != 1 else ''}, {how_long}, seed {info.seed}"
+    console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}", soft_wrap=True)
     console.print(f"{what}, {info.params.association} association")
     if info.mistake:
         wrong = f"wrong on purpose, {info.mistake}: {MISTAKES[info.mistake].what}"
         console.print(wrong, style="bold red", soft_wrap=True, markup=False)
+    for sentence in on_odometry(info, summary):
+        console.print(sentence, soft_wrap=True, markup=False)
     console.print()
     print_whole(console, table(summary))
     console.print()
+    if alone := summary.errors_alone():
+        errors = ", ".join(f"{key} alone {number(error)} m" for key, error in alone.items())
+        console.print(f"position error, RMS, without a filter: {errors}", soft_wrap=True)
+        console.print()
     if summary.paths is not None:
         titles = {key: series.title for key, series in summary.filters.items()}
         print_whole(console, relations_table(summary.paths, titles))
@@ -105,6 +114,33 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
             console.print(f"[{_style(key)}]{series.title}[/], step {step}: {escape(text)}", soft_wrap=True)
         if len(events) > SHOWN_EVENTS:
             console.print(f"[{_style(key)}]{series.title}[/]: {len(events) - SHOWN_EVENTS} more events")
+
+
+def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
+    """Sentences on the odometry of a log of a laser: what is believed to be wrong with it, and whether matching scans
+    corrected it; of a world that only where it did."""
+    told = []
+    noise = odometry_believed(info.source.motion, info.params.believed)
+    if noise is not None:
+        told.append(in_words(noise))
+    steps, used = summary.unmatched.total(), summary.unmatched[""]
+    if steps:
+        reasons = [f"{reason} ({count})" for reason, count in summary.unmatched.most_common() if reason]
+        why = f"; not used: {', '.join(reasons)}" if reasons else ""
+        told.append(f"scan matching: used in {used} of {steps} step{'s' if steps != 1 else ''}{why}")
+    elif noise is not None:
+        off = info.params.matching == "off"
+        told.append(f"scan matching: {'off' if off else 'left alone, since the odometry is as good'}")
+    return told
+
+
+def in_words(noise: OdometryNoise) -> str:
+    """What is believed to be wrong with an odometry."""
+    per_metre, per_radian = math.degrees(noise.turn_per_metre), math.degrees(noise.turn_per_radian)
+    return (
+        f"odometry, as its scans show, off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways and "
+        f"{number(per_metre)}° after one metre, {number(noise.slip)} m and {number(per_radian)}° after a radian"
+    )
 
 
 def print_whole(console: Console, content: Table) -> None:
@@ -185,6 +221,8 @@ def _rows(summary: Summary) -> list[tuple[str, Callable[[FilterSeries], str]]]:
         return " / ".join(str(n) for n in series.association.values()) if series.association else ""
 
     def speed(series: FilterSeries) -> str:
+        if not summary.info.source.has_clock:
+            return ""
         return f"{number(summary.seconds() / max(sum(series.seconds), 1e-12))} x"
 
     found: list[tuple[str, Callable[[FilterSeries], str]]] = [("particles", lambda s: str(s.particles))]

@@ -20,6 +20,7 @@ from scenarios.logs import part, read_log
 from scenarios.logs.keyframes import USUAL, keyframes
 from scenarios.logs.learning import with_learned_odometry
 from scenarios.logs.reference import with_reference
+from scenarios.logs.silence import with_silence_told
 from scenarios.registry import WorldEntry, build, worlds
 from scenarios.types import Source, SourceError
 
@@ -78,7 +79,7 @@ def load(name: str, own: Mapping[str, str], parts: LogParts) -> Source:
     if log.scans is None:
         return log
     distance, turn = USUAL if parts.keyframe is None else (parts.keyframe[0], math.radians(parts.keyframe[1]))
-    return keyframes(with_learned_odometry(log), distance, turn)
+    return keyframes(with_learned_odometry(with_silence_told(log)), distance, turn)
 
 
 @contextmanager

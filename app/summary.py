@@ -3,10 +3,13 @@
     {"schema": 1, "version": "0.1.0", "world": name, "title": text, "seed": n,
      "mistake": name (--mistake) | null,
      "steps": n, "complete": bool,      steps done; whether these are all that were asked for
-     "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool},
+     "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool,
+        "odometry": {"along", "lateral", "slip", "turn_per_metre", "turn_per_radian"} | null},
+     "matching": {"steps": n, "used": n, "reasons": {reason: n, ...}} | null,
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
      "relations": {"file": text, "relations": n, key or "odometry": {"used", "left_out",
         "translation_m": {"mean", "std", "median", "p95", "max"} | null, "rotation_rad": the same}, ...} | null,
+     "alone": {"odometry": m, "matching": m} | null,
      "filters": {key: {
         "title": text, "particles": K (at the end),
         arrays, one entry per observing step:
@@ -18,7 +21,7 @@
         "update_ms": {"median", "p95", "total_s"}, "real_time_factor"}}}
 
 - SI units and radians; `update_ms` in milliseconds, compiling and loading compiled kernels not counted.
-- `time_s`: of a world, since its beginning; of a log, the log's own stamp.
+- `time_s`: of a world, since its beginning; of a log, the log's own stamp, or without stamps the number of the scan.
 - `position_error_m` is that of the weighted mean, `best_position_error_m` that of the heaviest particle; `position_mse`
   is the mean over steps of the squared position error.
 - `diversity`: fraction of the particles with distinct ancestors at time zero, after the step.
@@ -32,7 +35,13 @@
   log alone; `left_out` are those whose scans are not in the part of the log that was run.
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
-- `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time.
+- `alone`: of a log, the RMS of the position error without any filter, and of scan matching if scans were matched.
+- `odometry`: of a log of a laser, what is believed to be wrong with its odometry, as its own scans show it: deviations
+  in metres and radians after one metre, `slip` and `turn_per_radian` after turning by one radian.
+- `matching`: at how many steps scans were matched, at how many of these that was used, and why not at the others; null
+  if there were none.
+- `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time;
+  null for a log without time stamps.
 - With `--align` the errors are those after the best rigid motion of the whole path onto the truth, and NEES is null.
 - Same seed, same summary, except `update_ms` and `real_time_factor`: compare with `without_timings`.
 """
@@ -41,6 +50,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,12 +59,15 @@ import numpy as np
 
 from app.events import Watch
 from app.files import write_whole
+from app.paths import Paths
 from app.relations import PathErrors
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
+from scenarios.logs.learning import odometry_believed
 from slam.alignment import align_rigid
 from slam.geometry import wrap_all
+from slam.metrics import rms
 from slam.types import UNKNOWN_TAG, Floats
 
 SCHEMA = 1
@@ -123,10 +136,14 @@ class Summary:
         self.filters: dict[str, FilterSeries] = {}
         self.observed = 0
         """Observations of all steps."""
+        self.unmatched: Counter[str] = Counter()
+        """Steps whose scans were matched, by the reason why that was not used; empty where it was."""
 
     def begin(self, info: SessionInfo) -> None:
         """Before the first step."""
         self.info = info
+        self._ways = Paths()
+        self._ways.begin(info)
         self.filters = {f.key: FilterSeries(f.title) for f in info.filters}
         self._watch = Watch({f.key: f.title for f in info.filters})
         if self.paths is not None:
@@ -135,6 +152,7 @@ class Summary:
     def step(self, step: SessionStep) -> None:
         """After every observing step."""
         self.steps.append(step.index)
+        self._ways.step(step)
         self.times.append(float(step.frame.time))
         self.truth.append(np.full(3, np.nan) if step.truth is None else step.truth)
         self.changes += [(step.index, sentence) for sentence in step.changes]
@@ -142,6 +160,8 @@ class Summary:
             (step.index, event.who, event.text) for event in self._watch.step(step) if event.kind != "changed"
         ]
         self.observed += len(step.frame.z)
+        if step.match is not None:
+            self.unmatched[step.match.reason] += 1
         if self.paths is not None:
             self.paths.step(step)
         tagged = bool(np.any(step.frame.tags != UNKNOWN_TAG))
@@ -166,6 +186,8 @@ class Summary:
         params["noise"] = _nested(flat(info.noise)) if info.source.kind == "world" else None
         params["options"] = {name: plain(value) for name, value in info.source.options.items()}
         params["align"] = self.align
+        odometry = odometry_believed(info.source.motion, info.params.believed)
+        params["odometry"] = None if odometry is None else plain(odometry._asdict())
         return {
             "schema": SCHEMA,
             "version": version(),
@@ -176,11 +198,34 @@ class Summary:
             "steps": len(self.steps),
             "complete": len(self.steps) == info.steps,
             "params": params,
+            "matching": self._matching(),
             "changes": [list(change) for change in self.changes],
             "events": [list(event) for event in self.events],
             "relations": self._relations(),
+            "alone": self.errors_alone() or None,
             "filters": {key: self._filter(series) for key, series in self.filters.items()},
         }
+
+    def _matching(self) -> dict[str, Any] | None:
+        if not self.unmatched:
+            return None
+        reasons = {reason: count for reason, count in self.unmatched.most_common() if reason}
+        return {"steps": self.unmatched.total(), "used": self.unmatched[""], "reasons": reasons}
+
+    def errors_alone(self) -> dict[str, float]:
+        """[m] RMS of the position error of a log without any filter, by what has it; empty where nobody knows."""
+        truth = np.array(self.truth).reshape(-1, 3)[:, :2]
+        known = np.isfinite(truth).all(axis=1)
+        if self.info.source.kind != "log" or not known.any():
+            return {}
+        found = {}
+        for key, poses in self._ways.alone().items():
+            places = poses[known, :2]
+            if self.align and len(places) >= 2:
+                R, t = align_rigid(places, truth[known])
+                places = places @ R.T + t
+            found[key] = rms(np.linalg.norm(places - truth[known], axis=1))
+        return found
 
     def _relations(self) -> dict[str, Any] | None:
         if self.paths is None:
@@ -200,7 +245,9 @@ class Summary:
     def errors(self, series: FilterSeries) -> dict[str, Floats]:
         """Series (T,) that depend on the truth, after alignment if that was asked for."""
         names = ("position_error_m", "best_position_error_m", "heading_error_rad", "nees", "nees_pose")
-        found = {name: series.array(name) for name in names}
+        found = {name: series.array(name) for name in (*names, "duplicates_so_far")}
+        if self.info.source.kind == "log" and not self.observed:  # nobody knows whose features an empty map lacks
+            found["duplicates_so_far"][:] = np.nan
         truth, estimate = np.array(self.truth).reshape(-1, 3), np.array(series.estimate).reshape(-1, 3)
         known = np.isfinite(truth[:, :2]).all(axis=1)
         if self.align and known.sum() >= 2:
@@ -218,7 +265,7 @@ class Summary:
         milliseconds = 1e3 * np.array(series.seconds)
         total = float(np.sum(series.seconds))
         arrays = {name: errors.get(name, series.series[name]) for name in _SERIES}
-        arrays["duplicates_so_far"] = [_count(value) for value in series.series["duplicates_so_far"]]
+        arrays["duplicates_so_far"] = [_count(value) for value in errors["duplicates_so_far"]]
         duplicates = arrays["duplicates_so_far"]
         return {
             "title": series.title,
@@ -237,7 +284,7 @@ class Summary:
                 "p95": plain(np.percentile(milliseconds, 95)) if total else None,
                 "total_s": total,
             },
-            "real_time_factor": plain(self.seconds() / total) if total else None,
+            "real_time_factor": plain(self.seconds() / total) if total and self.info.source.has_clock else None,
         }
 
 

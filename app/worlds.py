@@ -17,9 +17,10 @@ from app import values
 from app.errors import UsageError, listed, suggestion
 from app.files import check_file, write_whole
 from app.options import default
-from app.report import print_whole
-from app.sources import WORLD_FILE, describe_options, options_as_typed, world_values
-from scenarios.preview import WorldRow, preview, world_row
+from app.report import in_words, print_whole
+from app.sources import RECORDING, WORLD_FILE, LogParts, describe_options, load, options_as_typed, world_values
+from scenarios.logs.learning import odometry_believed
+from scenarios.preview import WorldRow, driven, preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
 from scenarios.world_file import world_text
@@ -29,15 +30,17 @@ from slam.types import Scan
 
 @dataclass(frozen=True)
 class Worlds:
-    """What worlds there are; with a NAME, what it looks like and its options.
+    """What worlds there are; with a NAME, what it looks like and its options; of a LOG, what is in it.
 
     A world may be written to a file, changed, and run: dualslam run FILE.toml.
     """
 
     name: Annotated[
-        tyro.conf.Positional[str], values.word("NAME"), tyro.conf.arg(help_behavior_hint="(default: a table of all)")
+        tyro.conf.Positional[str],
+        values.word("NAME|LOG"),
+        tyro.conf.arg(help_behavior_hint="(default: a table of all)"),
     ] = ""
-    """A world, or a world file."""
+    """A world, a world file, or a log."""
     write: Annotated[Path | None, values.path("--write", "FILE.toml"), default("not written")] = None
     """Write the world to a file."""
 
@@ -51,6 +54,11 @@ class Worlds:
                 )
             _print_all(console)
             return 0
+        if self._is_log():
+            if self.write is not None:
+                raise UsageError(f"--write does not apply to {self.name}: it is for worlds, and this is a log")
+            _print_log(console, load(self.name, own, LogParts()))
+            return 0
         values = self._values(own)
         with options_as_typed(own):
             if self.write is None:
@@ -61,6 +69,11 @@ class Worlds:
         how = f"run it with: dualslam run {shlex.quote(str(self.write))}"
         console.print(f"world: {self.write}   ({how})", soft_wrap=True, markup=False)
         return 0
+
+    def _is_log(self) -> bool:
+        if self.name in worlds() or Path(self.name).suffix.lower() in (WORLD_FILE, RECORDING):
+            return False
+        return Path(self.name).expanduser().exists()
 
     def _values(self, own: dict[str, str]) -> dict[str, Any]:
         if self.name in worlds():
@@ -73,7 +86,7 @@ class Worlds:
 
 
 def _expected() -> str:
-    return f"expected {listed(worlds())}, or a file that ends in {WORLD_FILE}"
+    return f"expected {listed(worlds())}, a file that ends in {WORLD_FILE}, or a log"
 
 
 def _check_world_file(path: Path) -> None:
@@ -109,8 +122,7 @@ def _print_all(console: Console) -> None:
 
 def _print_one(console: Console, name: str, source: Source) -> None:
     row = world_row(source)
-    console.print(f"[bold]{escape(source.name)}[/]  {escape(source.title)}\n", soft_wrap=True)
-    console.print(preview(source, width=min(console.width - 2, 100)), markup=False, soft_wrap=True)
+    _print_view(console, source)
     console.print(
         f"\n{row.route:.0f} m in {row.duration:.0f} s, {_things(row)}, {row.steps} observing steps with "
         f"{row.visible:.1f} {row.what} in view",
@@ -120,11 +132,7 @@ def _print_one(console: Console, name: str, source: Source) -> None:
     if scan is not None:
         console.print(f"laser: {_laser(scan)}", soft_wrap=True)
     console.print(f"noise: {_noise(source)}", soft_wrap=True)
-    for warning in source.warnings:
-        console.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
-    if source.defaults:
-        defaults = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in source.defaults.items())
-        console.print(f"defaults: {defaults}", soft_wrap=True)
+    _print_defaults(console, source)
     entry = worlds().get(name)
     if entry:
         table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
@@ -134,6 +142,44 @@ def _print_one(console: Console, name: str, source: Source) -> None:
             table.add_row(f"{option.option} {option.metavar}", escape(text))
         console.print("\noptions")
         print_whole(console, table)
+
+
+def _print_view(console: Console, source: Source) -> None:
+    console.print(f"[bold]{escape(source.name)}[/]  {escape(source.title)}\n", soft_wrap=True)
+    console.print(preview(source, width=min(console.width - 2, 100)), markup=False, soft_wrap=True)
+
+
+def _print_defaults(console: Console, source: Source) -> None:
+    """And what was odd."""
+    for warning in source.warnings:
+        console.print(f"warning: {warning}", style="yellow", soft_wrap=True, markup=False)
+    if source.defaults:
+        defaults = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in source.defaults.items())
+        console.print(f"defaults: {defaults}", soft_wrap=True)
+
+
+def _print_log(console: Console, source: Source) -> None:
+    """What a run of the whole log would work on."""
+    _print_view(console, source)
+    steps, frames = len(source.steps), [step.frame for step in source.steps]
+    seconds = sum(float(frame.dt.sum()) for frame in frames)
+    duration = f"in {seconds:.0f} s" if source.has_clock else "without time stamps"
+    scans = "" if source.scans is None else f"{len(source.scans.stamps)} scans, of which keyframes are "
+    console.print(
+        f"\n{sum(map(driven, frames)):.0f} m by odometry {duration}, {scans}{steps} "
+        f"observing step{'s' if steps != 1 else ''}",
+        soft_wrap=True,
+    )
+    scan = max((frame.scan for frame in frames if frame.scan is not None), key=lambda s: len(s.bearings), default=None)
+    if scan is not None:
+        console.print(f"laser: {_laser(scan)}", soft_wrap=True)
+    noise = odometry_believed(source.motion, source.noise)
+    what = f"range {source.noise.range:.3g} m; {in_words(noise)}" if noise else _noise(source)
+    console.print(f"noise: {what}", soft_wrap=True)
+    told = sum(step.truth is not None for step in source.steps)
+    truth = "known" if told == steps else f"known at {told} of these steps" if told else "not known"
+    console.print(f"truth: {truth}", soft_wrap=True)
+    _print_defaults(console, source)
 
 
 def _things(row: WorldRow) -> str:

@@ -44,7 +44,7 @@ def world_row(source: Source) -> WorldRow:
     frames = [step.frame for step in source.steps]
     return WorldRow(
         name=source.name,
-        route=sum(_driven(f) for f in frames),
+        route=sum(driven(f) for f in frames),
         duration=frames[-1].time,
         things=0 if source.true_map is None else _things(source.true_map.theta),
         what="landmarks" if frames[0].scan is None else "walls",
@@ -61,7 +61,7 @@ def _things(theta: Floats) -> int:
     return len({min((*a, *b), (*b, *a)) for a, b in theta.reshape(-1, 2, 2).tolist()})
 
 
-def _driven(frame: Frame) -> float:
+def driven(frame: Frame) -> float:
     """[m] forwards and backwards."""
     if isinstance(frame.motion, Odometry):
         return float(np.hypot(frame.u[:, 0], frame.u[:, 1]).sum())
@@ -117,7 +117,8 @@ def preview(source: Source, width: int = 70, height: int = 20, *, ascii_only: bo
 
     picture = ["".join(character(r, c) for c in range(columns)).rstrip() for r in range(rows)]
     times = "x" if ascii_only else "×"
-    things = f"{'.' if ascii_only else '·'} route between walls" if len(walls) else "+ landmark"
+    dot_mark = "." if ascii_only else "·"
+    things = f"{dot_mark} route between walls" if len(walls) else "+ landmark" if len(landmarks) else "dotted the route"
     legend = (
         f"S start, E end, {things}; {size[0]:.3g} {times} {size[1]:.3g} m, one character is "
         f"{2 * dot[0]:.2g} {times} {4 * dot[1]:.2g} m"

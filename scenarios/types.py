@@ -71,6 +71,11 @@ class Source:
     scans: LogScans | None = None
     """Of a laser log, what lies between its steps."""
 
+    @property
+    def has_clock(self) -> bool:
+        """Whether its times are seconds, and not the numbers of scans, as in laser logs without time stamps."""
+        return self.scans is None or bool((np.diff(self.scans.stamps) != 1.0).any())
+
     def params(self, **changes: Any) -> Params:
         """The parameters for this source: its own defaults and beliefs, then `changes`."""
         return Params(**{"believed": self.noise, **self.defaults, **changes})

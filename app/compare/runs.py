@@ -12,6 +12,7 @@ import numpy as np
 
 from app.errors import UsageError
 from app.recording.reading import Recording
+from app.recording.texts import means_on_relations
 from slam.estimators import ESTIMATORS
 from slam.types import Bools, Floats, Ints
 
@@ -104,6 +105,8 @@ class Run(NamedTuple):
     damaged: bool
     walls: bool
     """Whether the features are walls, or else landmarks."""
+    relations: tuple[int, dict[str, str]] | None = None
+    """Where paths were judged by relations: the last step of it, and the mean error [m] of each path by its title."""
 
     @property
     def steps(self) -> Ints:
@@ -174,6 +177,7 @@ def read_run(path: Path, branch: str, name: str) -> Run:
         [other for other in branches if other != branch],
         recording.damaged,
         any(entity.startswith(root) and entity.endswith("/segments") for entity in recording.entities),
+        _relations(recording, root),
     )
 
 
@@ -251,6 +255,14 @@ def _drawn(recording: Recording, root: str, keys: Iterable[str]) -> dict[int, di
         for step, lines in recording.points(f"{root}world/{entity}", "LineStrips3D:strips").items():
             found.setdefault(step, {})[entity] = lines
     return found
+
+
+def _relations(recording: Recording, root: str) -> tuple[int, dict[str, str]] | None:
+    pages = recording.rows(f"{root}relations", "TextDocument:text", "step")
+    if not pages:
+        return None
+    step, (page,) = max(pages, key=lambda row: row[0])
+    return step, means_on_relations(page)
 
 
 def same_bits(a: Floats, b: Floats) -> Bools:

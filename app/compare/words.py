@@ -93,7 +93,7 @@ def sentences(found: Comparison) -> list[str]:
         said.append(_made(first, run))
         said.append(_data(first, run, found.steps))
         said += _moments(first, run, found.steps)
-    said += [line for run in found.runs for line in _changed(run)]
+    said += [line for run in found.runs for line in (*_changed(run), *_on_relations(run))]
     said += _same_runs(found)
     return said + list(_missing(found))
 
@@ -170,6 +170,14 @@ def _changed(run: Run) -> Iterator[str]:
         yield f"{run.name} was changed while it ran: {told}"
 
 
+def _on_relations(run: Run) -> Iterator[str]:
+    """What its recording says of the relations that paths were judged by."""
+    if run.relations is not None:
+        step, means = run.relations
+        told = ", ".join(f"{title} {mean} m" for title, mean in means.items())
+        yield f"{run.name}, mean error of relations after step {step}: {told or 'none is known'}"
+
+
 def _same_runs(found: Comparison) -> list[str]:
     """Which filters are one run, bit for bit."""
     said: dict[str, list[str]] = {}
@@ -191,6 +199,10 @@ def _missing(found: Comparison) -> Iterator[str]:
         yield "nobody knows the truth: there are no errors and no NEES"
     elif blind:
         yield f"nobody knows the truth in {_and(blind)}: no errors and no NEES there"
+    compared = {one.key for one in found.filters}
+    for key, estimator in ESTIMATORS.items():
+        if key not in compared and any(key in run.filters for run in found.runs):
+            yield f"{estimator.title} was on at no step that all of them have: it is not compared"
     for one in found.filters:
         for column in one.columns:
             if column.missing:

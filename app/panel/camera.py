@@ -7,6 +7,7 @@ between limits.
 from __future__ import annotations
 
 import math
+from collections import deque
 from contextlib import suppress
 from typing import Any
 
@@ -34,6 +35,9 @@ SAME = 1e-4
 
 LIFT = 3e-5
 """Between two layers, over that height: told apart also by browsers without a reversed depth buffer."""
+
+REMEMBERED = 50
+"""Places where a camera was put."""
 
 Vector = tuple[float, float, float]
 
@@ -138,13 +142,13 @@ class TopCamera:
 class Cameras:
     """Which browsers have their camera where it was put, and not where a person wants it.
 
-    A slow browser may tell long after that it is where it was put before: all places count.
+    A slow browser may tell long after that it is where it was put before: the last `REMEMBERED` places count.
     """
 
     def __init__(self) -> None:
-        self._put: dict[int, list[Vector]] = {}
+        self._put: dict[int, deque[Vector]] = {}
         """By browser (`ClientHandle.client_id`)."""
-        self._offered: list[Vector] = []
+        self._offered: deque[Vector] = deque(maxlen=REMEMBERED)
         """Where those begin that come, and where "Reset View" leads."""
 
     def offer(self, camera: TopCamera, initial: Any) -> None:
@@ -154,13 +158,13 @@ class Cameras:
 
     def fit(self, camera: TopCamera, client: Any) -> None:
         """Show all in one browser, whoever has its camera."""
-        self._put[client.client_id] = [camera.fit(client)]
+        self._put[client.client_id] = deque([camera.fit(client)], REMEMBERED)
 
     def follow(self, camera: TopCamera, client: Any) -> None:
         """Show all in one browser, unless a person has its camera."""
         with suppress(AssertionError, TypeError, ValueError):  # it has not told yet, or told nonsense
             if self._is_own(client):
-                self._put.setdefault(client.client_id, []).append(camera.fit(client))
+                self._put.setdefault(client.client_id, deque(maxlen=REMEMBERED)).append(camera.fit(client))
             else:
                 camera.allow(client)
 

@@ -140,7 +140,9 @@ class GroundLayers(Layers):
         self._known = np.array(at, np.int64) + 1
         self._true = np.array([steps[i].truth[:2] for i in at], float).reshape(-1, 2)  # type: ignore[index]
         times = np.array([steps[i].frame.time for i in at])
-        self._stretch = np.cumsum(np.diff(times, prepend=times[:1]) > GAP)
+        # a robot that rests makes no steps: only where somebody could have known, and did not, is there a gap
+        unknown = np.diff(self._known, prepend=self._known[:1]) > 1
+        self._stretch = np.cumsum(unknown & (np.diff(times, prepend=times[:1]) > GAP))
         self._walls = isinstance(info.source.feature, Wall)
         self._crowd = _crowding(0 if info.source.true_map is None else len(info.source.true_map.theta))
         white, yellow = colours.TRUTH_ON_DARK, colours.WARNING

@@ -12,7 +12,9 @@ from app import colours
 from app.live.engine import Status
 from app.live.trend import Now, Trend, Trends
 from app.options import FILTERS
+from app.recording.ground import known
 from app.session import estimators
+from app.types import SessionInfo
 from slam.estimators import ESTIMATORS
 from slam.types import Floats
 
@@ -73,16 +75,24 @@ def bold(text: str) -> str:
 
 def table(status: Status) -> str:
     """A markdown table of the filters' measures."""
-    rows = ["| | K | N_eff | diversity | error, m | NEES | features | ms |", "|---|--:|--:|--:|--:|--:|--:|--:|"]
+    judged = knows_truth(status.info)
+    names = ["", "K", "N_eff", "diversity", *(("error, m", "NEES") if judged else ()), "features", "ms"]
+    rows = [f"| {' | '.join(names)} |", "|---" + "|--:" * (len(names) - 1) + "|"]
     step = status.taken.step if status.taken else None
     for key, update in (step.filters if step else {}).items():
         m, K = update.measures, len(update.trace.weighted.log_w)
         of_many = (f"{m.n_eff / K:.0%}", f"{m.diversity:.0%}") if key != "ekf" else ("", "")
         (shown,) = estimators([key], status.info.mistake)
         title = f"{shown.title} ({colours.word(key)})"
-        cells = [title, f"{K}", *of_many, _number(m.position_error_m), _number(m.nees_position), f"{m.features}"]
+        errors = (_number(m.position_error_m), _number(m.nees_position)) if judged else ()
+        cells = [title, f"{K}", *of_many, *errors, f"{m.features}"]
         rows.append(f"| {' | '.join(cells)} | {_number(1e3 * update.seconds)} |")
     return "\n".join(rows)
+
+
+def knows_truth(info: SessionInfo) -> bool:
+    """Whether somebody knows where the robot is, at some step at least: of many logs nobody does."""
+    return info.source.kind == "world" or any(known(step.truth) for step in info.source.steps[: info.steps])
 
 
 def _number(value: float) -> str:
@@ -123,6 +133,11 @@ class Plot:
             aspect=3.0,
         )
 
+    def visible(self, on: bool) -> None:
+        """Show it, or leave no room for it."""
+        if self._handle.visible != on:
+            self._handle.visible = on
+
     def show(self, steps: Floats, values: dict[str, Floats]) -> None:
         """Steps (T,), and for every filter (T,)."""
         if self._high is None:  # the browser finds no range among numbers that are not there
@@ -144,7 +159,8 @@ class Plots:
         self._n_eff = Plot(gui, "N_eff / K", 1.05)
         self._error = Plot(gui, "position error [m]")
 
-    def show(self, trends: Trends) -> None:
-        """The last steps of the present branch."""
+    def show(self, trends: Trends, judged: bool) -> None:
+        """The last steps of the present branch; `judged`, if errors can be known."""
+        self._error.visible(judged)
         self._n_eff.show(trends.steps, {k: v for k, v in trends.n_eff.items() if k != "ekf"})
         self._error.show(trends.steps, trends.error)

@@ -530,7 +530,7 @@ class Panel:
         _set(self.record, "label", "Stop recording" if self._records.running else "Record")
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)
-        self.plots.show(self._trend.of(status.branch, status.step))
+        self.plots.show(self._trend.of(status.branch, status.step), now.knows_truth(status.info))
         if self._diagnoses is not None:
             told = self._diagnoses.of(status.branch, status.step, now=not status.playing)
             _set(self.diagnosis, "content", told.text)

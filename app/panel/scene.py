@@ -25,6 +25,7 @@ from app.panel.layers import FilterLayers, GroundLayers, Layers, PickLayers, Sho
 from app.panel.nodes import flat_light
 from app.panel.picking import BEGUN_AGAIN, HINT, Lost, Pick, described, followed, where
 from app.panel.trails import OdometryTrail
+from app.paths import MATCHED, ODOMETRY
 from app.recording.ground import Extent, Scanned, Survey, extent_of, is_charted
 from app.relations import Breaks
 from app.types import SessionInfo, SessionStep, best_descendant, best_path
@@ -168,9 +169,9 @@ class TopView:
     def describe_relations(self) -> str:
         """Markdown on how well the paths fit relations, as of the last step of which that was found; empty without."""
         breaks = self._found.breaks
-        return "\n".join(
-            f"- relations, {ESTIMATORS[key].title}: {breaks[key].told()}" for key in ESTIMATORS if key in breaks
-        )
+        titles = {key: estimator.title for key, estimator in ESTIMATORS.items()}
+        titles |= {alone: f"{alone} alone" for alone in (ODOMETRY, MATCHED)}
+        return "\n".join(f"- relations, {titles[key]}: {breaks[key].told()}" for key in titles if key in breaks)
 
     def fit(self) -> None:
         """Show all of the map, from straight above, in all browsers: of a log, all that was visited so far."""

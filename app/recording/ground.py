@@ -17,6 +17,9 @@ FIELD = 1.04
 
 MARGIN = 1.08
 
+UNKNOWN = 0.2
+"""Share of the steps in a row of which nobody needs to know the true pose, and yet where a log leads is known."""
+
 MOST_CELLS, FINEST = 20_000, 0.05
 """Of the grid in which the scans of a log are shown, how many; and the size [m] of the smallest."""
 
@@ -55,9 +58,13 @@ def around(places: Floats, room: float) -> Extent:
 
 
 def is_charted(source: Source, steps: int) -> bool:
-    """Whether somebody knows beforehand where it leads: of logs without a true pose dead reckoning alone tells, and
-    goes astray."""
-    return source.kind == "world" or any(step.truth is not None for step in source.steps[:steps])
+    """Whether somebody knows beforehand where it leads: of logs without a true pose, for longer than a short part of
+    the steps, dead reckoning alone tells, and goes astray."""
+    if source.kind == "world":
+        return True
+    told = [known(step.truth) for step in source.steps[:steps]]
+    gaps = np.diff(np.flatnonzero([True, *told, True])) - 1
+    return any(told) and bool(gaps.max() <= UNKNOWN * len(told))
 
 
 class Survey:

@@ -128,6 +128,12 @@ the path has the robot to where the relation has it, wherever that is more than 
 """
 
 
+def means_on_relations(page: str) -> dict[str, str]:
+    """From such a page back to the mean error [m] of each path, as it stands there."""
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    return {cells[0]: cells[1] for cells in rows[1:] if len(cells) == len(rows[0])}
+
+
 def _row(title: str, breaks: Breaks) -> str:
     worst = int(np.argmax(breaks.off))
     lengths = (breaks.off.mean(), np.quantile(breaks.off, 0.95), breaks.off[worst])

@@ -115,6 +115,10 @@ class Writer:
         self._judge = judge
         self._last: SessionStep | None = None
         self._pace = Pace(DUTY)
+        self._pictured = 0
+        """The last step of which there are pictures."""
+        self._complete = 0
+        """The last step of which every picture was written."""
         self._judged = 0
         """The last step of which relations were written."""
         self._limits = limits_for(info.steps)
@@ -238,6 +242,7 @@ class Writer:
     def _write_pictures(self, step: SessionStep, stage: int, now: tuple[int, float], detail: Detail) -> None:
         """All but numbers."""
         everything = detail == "all"  # however seldom its turn is in a long run
+        self._pictured = step.index
         self._write_surroundings(step, everything)
         for key, update in step.filters.items():
             self._write_focus(key, update, step.truth)
@@ -271,6 +276,8 @@ class Writer:
             with self._pace.kept():
                 self._write_scans(step)
                 self._write_relations(step)
+            if everything or due(step.index, self._info.steps, self._limits.paths):
+                self._complete = step.index
 
     def teach(self, text: str) -> None:
         """The page of a lesson, Markdown, in place of what stood there."""
@@ -279,18 +286,28 @@ class Writer:
     def close(self) -> None:
         """Complete the file."""
         for writer in (self, *self._branches.values()):
-            writer.judge_at_last()
+            writer.complete()
             found = None if writer._survey is None else writer._survey.found()
             writer._shown = writer._shown._replace(extent=found or writer._shown.extent)
         if self._survey is not None:
             self.show()
         self._stream.close()
 
-    def judge_at_last(self) -> None:
-        """Say how well the paths fit relations as they are known in the end, if that is not said."""
-        if self._last is not None:
-            self._stream.set_time(3 * self._last.index, *self._now(self._last))
-            self._write_relations(self._last)
+    def complete(self) -> None:
+        """Bring all pictures up to the last step, and how well the paths fit relations, if they are older."""
+        step = self._last
+        if step is None:
+            return
+        old = self._complete != step.index
+        if self._pictured != step.index:
+            self._write_pictures(step, 3 * (step.index - 1) + 1, self._now(step), "present")
+        self._stream.set_time(3 * step.index, *self._now(step))
+        if old:
+            self._write_surroundings(step, everything=True)
+            for key, update in step.filters.items():
+                self._write_memory(key, update, step.index, everything=True, past=True)
+            self._write_scans(step)
+        self._write_relations(step)
 
     def _now(self, step: SessionStep) -> tuple[int, float]:
         """Of a step, on the timelines that are not about parts of it."""

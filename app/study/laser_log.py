@@ -181,7 +181,7 @@ def one_run(task: Task) -> Outcome:
         resamplings=float(series.array("resampled").sum()),
         update_ms=1e3 * float(np.median(series.seconds)),
         filter_s=seconds,
-        real_time_factor=summary.seconds() / seconds if _has_clock(source) else math.nan,
+        real_time_factor=summary.seconds() / seconds if source.has_clock else math.nan,
     )
 
 
@@ -345,12 +345,6 @@ def _tuned(study: LaserLog, source: Source, particles: int) -> Params:
 def _part(source: Source) -> str:
     assert source.scans is not None
     return f"scans {source.scans.kept[0]} to {source.scans.kept[-1]}"
-
-
-def _has_clock(source: Source) -> bool:
-    """Whether time stamps are more than the numbers of the scans."""
-    assert source.scans is not None
-    return bool((np.diff(source.scans.stamps) != 1.0).any())
 
 
 def _source(study: LaserLog) -> Source:

@@ -232,8 +232,9 @@ def _from_odom(messages: Messages, stamps: Floats, lines: Ints) -> tuple[Floats,
     odometry[:, 2] = wrap_all(odometry[:, 2])
     outside = np.flatnonzero((stamps < times[0] - HOLD) | (stamps > times[-1] + HOLD))
     if len(outside):
+        lie = "1 scan lies" if len(outside) == 1 else f"{len(outside)} scans lie"
         warnings.append(
-            f"{messages.path}:{lines[outside[0]]}: {len(outside)} scans lie before the first or after the last ODOM "
+            f"{messages.path}:{lines[outside[0]]}: {lie} before the first or after the last ODOM "
             "message; the robot is taken to stand there"
         )
     return odometry, warnings

@@ -117,9 +117,10 @@ def spread(path: Path, lines: Ints, groups: Sequence[Beams]) -> tuple[tuple[Beam
             start, spacing = FIELD_OF_VIEW[n]
             bearings = np.radians(start + spacing * np.arange(n))
             if len({FIELD_OF_VIEW.get(count) for count in counts}) > 1:
+                scans = f"{len(group.rows)} scan{'s' if len(group.rows) != 1 else ''}"
                 warnings.append(
                     f"{first}: the number of readings changes, and nothing tells where the beams look; those of "
-                    f"{len(group.rows)} scans of {n} are taken to be {spacing:g} degrees apart, from {start:g}"
+                    f"{scans} of {n} are taken to be {spacing:g} degrees apart, from {start:g}"
                 )
         else:
             if n and len(counts) > 1:
@@ -166,7 +167,7 @@ def _title(log: LaserLog, beams: Sequence[Beams], has_truth: bool) -> str:
     counts = [len(group.bearings) for group in beams if len(group.bearings)]
     number = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
     return (
-        f"{log.format} {log.path.name}: {len(log.stamps)} scans of {number} beams, "
+        f"{log.format} {log.path.name}: {len(log.stamps)} scan{'s' if len(log.stamps) != 1 else ''} of {number} beams, "
         f"{path_length(log.odometry):.0f} m by odometry{', corrected poses as truth' if has_truth else ''}"
     )
 
@@ -228,9 +229,13 @@ def _time_warnings(log: LaserLog) -> list[str]:
     if not len(odd):
         return []
     return [
-        f"{log.place(int(odd[0]) + 1)}: {len(odd)} times the time stamps jump, back by more than {JUMP_BACK:g} s or "
+        f"{log.place(int(odd[0]) + 1)}: {_times(len(odd))} the time stamps jump, back by more than {JUMP_BACK:g} s or "
         f"ahead by more than {JUMP_AHEAD:g} s, here by {step[odd[0]]:.3f} s; the order is that of the file"
     ]
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _leap_warnings(log: LaserLog) -> list[str]:
@@ -239,8 +244,8 @@ def _leap_warnings(log: LaserLog) -> list[str]:
     if not len(odd):
         return []
     return [
-        f"{log.place(int(odd[0]) + 1)}: {len(odd)} times the odometry leaps by more than {LEAP:g} m between two scans, "
-        f"here by {way[odd[0]]:.1f} m"
+        f"{log.place(int(odd[0]) + 1)}: {_times(len(odd))} the odometry leaps by more than {LEAP:g} m between two "
+        f"scans, here by {way[odd[0]]:.1f} m"
     ]
 
 
@@ -258,10 +263,13 @@ def _cleaned(log: LaserLog) -> tuple[list[Beams], list[str]]:
     warnings = []
     if bad:
         row = min(int(b.rows[~good.all(axis=1)][0]) for b, good in zip(log.beams, told, strict=True) if not good.all())
-        warnings.append(
-            f"{log.place(row)}: {bad} ranges are zero, negative or no number, here for the first time; they are taken "
-            "for beams that nothing came back to"
-        )
+        what = "a range is zero, negative or no number; it is taken for a beam that nothing came back to"
+        if bad > 1:
+            what = (
+                f"{bad} ranges are zero, negative or no number, here for the first time; they are taken for beams that "
+                "nothing came back to"
+            )
+        warnings.append(f"{log.place(row)}: {what}")
     measured = [b.ranges[good & np.isfinite(b.ranges)] for b, good in zip(log.beams, told, strict=True)]
     readings = np.concatenate([*measured, np.zeros(0)])
     if not len(readings):

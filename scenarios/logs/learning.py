@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from scenarios.logs.odometry import increments
 from scenarios.types import Source
 from slam.motion import Odometry
 from slam.perception.odometry import worth_matching
-from slam.perception.odometry_noise import odometry_noise
+from slam.perception.odometry_noise import OdometryNoise, odometry_noise
+from slam.types import Noise
 
 GOOD = (
     "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so "
@@ -41,4 +43,17 @@ def with_learned_odometry(source: Source) -> Source:
         noise=noise,
         warnings=(*source.warnings, *told),
         steps=tuple(step._replace(frame=step.frame._replace(motion=motion)) for step in source.steps),
+    )
+
+
+def odometry_believed(motion: Any, believed: Noise) -> OdometryNoise | None:
+    """What is believed to be wrong with an odometry whose noise was learned; None of any other."""
+    if not isinstance(motion, Odometry) or not motion.walk:
+        return None
+    return OdometryNoise(
+        along=believed.odometry,
+        lateral=believed.odometry * motion.lateral,
+        slip=believed.odometry * motion.slip,
+        turn_per_metre=believed.odometry * motion.turn_per_metre,
+        turn_per_radian=believed.odometry * motion.turn_per_radian,
     )

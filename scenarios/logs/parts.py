@@ -23,7 +23,8 @@ def part(source: Source, first: int | None = None, last: int | None = None, ever
     The controls of frames that are left out go to the next frame that is kept.  The start pose is the truth of the
     frame before; where that is not known in full, dead reckoning fitted to the truth within `ALIGN_OVER`, for laser
     logs from the nearest true pose; and where there is none either, dead reckoning from the start of the log, which for
-    laser logs is as good and for others deserves a warning.  Raises `SourceError` if no frame is left.
+    laser logs is as good and for others deserves a warning, as does an end beyond that of the source.  The title names
+    the part.  Raises `SourceError` if no frame is left.
     """
     if first is None and last is None and every == 1:
         return source
@@ -35,23 +36,33 @@ def part(source: Source, first: int | None = None, last: int | None = None, ever
         raise SourceError(f"first frame {begin}: expected 0 to {count - 1}, the frames of {source.name}")
     if end < begin:
         raise SourceError(f"last frame {end}: expected {begin}, the first frame, or more")
+    what = "frame" if source.scans is None else "scan"
+    beyond = f"{source.name}: its last {what} is {count - 1}, and so that of the part, which was to go on to {end}"
+    warnings = (beyond,) if end >= count else ()
     end = min(end, count - 1)
     kept = []
     for i in range(begin, end + 1, every):
         frames = [step.frame for step in source.steps[max(i - every + 1, begin) : i + 1]]
         u, dt = np.concatenate([f.u for f in frames]), np.concatenate([f.dt for f in frames])
         kept.append(Step(source.steps[i].frame._replace(u=u, dt=dt), source.steps[i].truth))
-    start, warnings = (source.start, ()) if begin == 0 else _start(source, begin)
+    start, told = (source.start, ()) if begin == 0 else _start(source, begin)
     scans = source.scans and source.scans._replace(kept=source.scans.kept[begin : end + 1 : every])
     options = {"first": begin, "last": end, "every": every}
     return replace(
         source,
+        title=f"{source.title}; {what}s {begin} to {end} of it{'' if every == 1 else f', every {_ordinal(every)}'}",
         steps=tuple(kept),
         start=start,
-        warnings=(*source.warnings, *warnings),
+        warnings=(*source.warnings, *warnings, *told),
         scans=scans,
         options={**source.options, **options},
     )
+
+
+def _ordinal(number: int) -> str:
+    """2nd, 3rd, 4th ..."""
+    teen = number % 100 in (11, 12, 13)
+    return f"{number}{'th' if teen else {1: 'st', 2: 'nd', 3: 'rd'}.get(number % 10, 'th')}"
 
 
 def dead_reckoning(source: Source) -> Floats:

@@ -591,3 +591,15 @@ def test_as_dict_has_no_numpy(found):
     from app.compare.output import Told
 
     json.dumps(as_dict(found, Told([], [""]), "", []), allow_nan=False)
+
+
+def test_a_filter_without_a_common_step_is_said_to_be_missing(tmp_path):
+    for name in "ab":
+        record(tmp_path / f"{name}.rrd", ["dfs", "fs1"])
+    a, b = read_runs([str(tmp_path / f"{name}.rrd") for name in "ab"])
+    said = "FastSLAM 1.0 was on at no step that all of them have: it is not compared"
+    assert said not in sentences(compare([a, b]))
+    later = b.filters["fs1"]._replace(steps=b.filters["fs1"].steps + 100)
+    found = compare([a, b._replace(filters={**b.filters, "fs1": later})])
+    assert [one.key for one in found.filters] == ["dfs"]
+    assert said in sentences(found)

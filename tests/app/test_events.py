@@ -177,12 +177,15 @@ def test_where_one_looks_but_rarely_it_is_not_told():
     assert sights([10.0 * i for i in range(1, 41)], [0] * 40)[0][0] == 50.0
 
 
-def unmatched(used: dict[int, str], count: int = 40) -> list[tuple[int, str, str, str, str]]:
-    """Step and event, of a session without filters whose scans are matched but in those steps, for these reasons."""
+def unmatched(used: dict[int, str] | dict[int, str | None], count: int = 40) -> list[tuple[int, str, str, str, str]]:
+    """Step and event, of a session without filters whose scans are matched but in those steps, for these reasons; None
+    is a step without matching."""
     watch, told = Watch({}), []
     for index in range(1, count + 1):
         frame = SimpleNamespace(time=0.5 * index, dt=np.array([0.5]), z=np.zeros((3, 2)))
         match = SimpleNamespace(used=index not in used, reason=used.get(index, ""))
+        if index in used and used[index] is None:
+            match = None
         step = SimpleNamespace(index=index, frame=frame, changes=(), filters={}, odometry=np.zeros(3), match=match)
         told += [(index, *event) for event in watch.step(step)]  # type: ignore[arg-type]
     return told
@@ -194,7 +197,20 @@ def test_it_is_told_once_that_matching_is_not_used_and_why():
     reasons = {1: "first scan", 5: "too few points", 6: "does not fit", 16: "does not fit", 27: "too little overlap"}
     assert unmatched(reasons) == [
         (5, "INFO", "Scan matching is not used: too few points", "", "not matched"),
+        (26, "INFO", "Scan matching is used again since step 17", "", "matched again"),
         (27, "INFO", "Scan matching is not used: too little overlap", "", "not matched"),
+        (37, "INFO", "Scan matching is used again since step 28", "", "matched again"),
+    ]
+
+
+def test_the_first_scan_after_matching_was_off_is_no_complaint():
+    """Nor does an end of it come of steps without any matching."""
+    off = dict.fromkeys(range(3, 20))
+    assert unmatched({1: "first scan", **off, 20: "first scan"}) == []
+    assert [step for step, *_ in unmatched({2: "does not fit", **off, 20: "first scan", 22: "does not fit"})] == [
+        2,
+        22,
+        32,
     ]
 
 

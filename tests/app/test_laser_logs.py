@@ -13,7 +13,7 @@ from app import cli
 from slam.estimators import ESTIMATORS
 from slam.geometry import compose, invert
 from tests.app.drive import STEPS, Drive, tum
-from tests.scenarios.laser_logs import plain_log, write
+from tests.scenarios.laser_logs import NOTHING, flaser, plain_log, readings, write
 
 KEYS = ("dfs", "fs2", "ekf")
 
@@ -62,6 +62,15 @@ def test_a_log_is_run_and_judged(drive: Drive, tmp_path: Path, capsys: pytest.Ca
     for key, error in (("ekf", "translation_m"), ("dfs", "rotation_rad")):
         assert relations[key][error]["mean"] < 0.5 * relations["odometry"][error]["mean"]
     out = capsys.readouterr().out
+    assert found["alone"]["matching"] < 0.5 * found["alone"]["odometry"] < 2.0
+    numbers = ", ".join(f"{key} alone {found['alone'][key]:.3g} m" for key in ("odometry", "matching"))
+    assert f"without a filter: {numbers}" in out
+    matching = found["matching"]
+    assert matching["steps"] == found["steps"] > matching["used"] > 0.8 * found["steps"]
+    assert f"scan matching: used in {matching['used']} of {found['steps']} steps; not used: first scan (1)" in out
+    noise = found["params"]["odometry"]
+    assert 0.0 < noise["along"] == found["params"]["believed"]["odometry"]
+    assert f"and {math.degrees(noise['turn_per_metre']):.3g}° after one metre" in out
     (line,) = [line for line in out.splitlines() if line.startswith("odometry ")]
     assert f"{relations['odometry']['translation_m']['mean']:.3g} m" in line
     assert f"{math.degrees(relations['odometry']['rotation_rad']['max']):.3g}°" in line
@@ -164,3 +173,75 @@ def test_a_robot_at_rest_is_a_short_run(tmp_path: Path, capsys: pytest.CaptureFi
     assert run(log, "--trajectory", tmp_path) == 0
     assert "2 steps, 1500 s" in capsys.readouterr().out
     assert len(tum(tmp_path / "ekf.tum")[0]) == 3000
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_log_without_time_stamps_has_no_seconds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stamped: bool
+) -> None:
+    poses = np.outer(np.arange(20), [0.3, 0.0, 0.0])
+    lines = [flaser(readings(k), p, p, 0.5 * k if stamped else None) for k, p in enumerate(poses)]
+    log, summary = write(tmp_path, "".join(lines)), tmp_path / "s.json"
+    assert run(log, "--summary", summary) == 0
+    out = capsys.readouterr().out
+    assert run(log) == 0
+    out = capsys.readouterr().out
+    assert ("no time stamps" in out) != stamped
+    assert (", 10 s, " in out) == stamped
+    assert ("times real time" in out) == stamped
+    found = json.loads(summary.read_text())["filters"]["dfs"]
+    assert (found["real_time_factor"] is None) != stamped
+
+
+def test_what_is_odd_in_a_part_is_said_before_it_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A minute without any return, and an end beyond that of the log; and the part is named."""
+    poses = np.outer(np.arange(100), [0.3, 0.0, 0.0])
+    lines = [
+        flaser(np.full(181, NOTHING) if 10 <= k <= 90 else readings(k), p, p, 1000.0 + 0.75 * k)
+        for k, p in enumerate(poses)
+    ]
+    assert run(write(tmp_path, "".join(lines)), "--from", 5, "--to", 200, "--every", 2) == 0
+    out, err = capsys.readouterr()
+    blind = "nothing came back to the laser for 58 s, in 40 scans from scan 11 on; filters are blind there"
+    assert f"warning: some: {blind}" in err
+    assert "warning: some: its last scan is 99, and so that of the part, which was to go on to 200" in err
+    assert out.splitlines()[0].endswith("; scans 5 to 99 of it, every 2nd")
+
+
+def test_a_log_can_be_looked_at_before_it_is_run(drive: Drive, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.entry(["worlds", str(drive.log)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("drive  CARMEN drive.log: 60 scans of 181 beams, ")
+    way = np.hypot(*np.diff(drive.odometry[:, :2], axis=0).T).sum()
+    (line,) = [line for line in out.splitlines() if "by odometry in" in line]
+    assert float(line.split(" m ")[0]) == pytest.approx(way, rel=0.03)
+    steps = int(line.removesuffix(" observing steps").split()[-1])
+    assert "60 scans, of which keyframes are " in line
+    assert steps == pytest.approx(STEPS // 2 + 4, abs=3)
+    for part in (
+        "dotted the route",
+        "laser: 181 beams, 1° apart",
+        "sideways and",
+        "truth: not known",
+        "--matching auto",
+    ):
+        assert part in out
+    assert cli.entry(["worlds", str(drive.log), "--write", "x.toml"]) == 2
+    assert "--write does not apply to" in capsys.readouterr().err
+
+
+def test_the_help_tells_the_defaults_of_logs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.entry(["run", "some.log", "--help"]) == 0
+    assert "1.0; 0.03 for logs of a laser" in " ".join(capsys.readouterr().out.split())
+
+
+def test_of_a_log_without_walls_nothing_is_told_of_duplicates(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses = np.outer(np.arange(20), [0.3, 0.0, 0.0])
+    assert run(write(tmp_path, plain_log(poses, 5)), "--summary", tmp_path / "s.json") == 0
+    out = capsys.readouterr().out
+    assert "no wall was seen" in out
+    assert "duplicates" not in out
+    found = json.loads((tmp_path / "s.json").read_text())["filters"]["dfs"]
+    assert found["duplicates"] is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -208,6 +209,13 @@ def test_logs_whose_way_is_known_stay_as_they_are(server, drive, monkeypatch):
     known = keyframes(with_reference(read_log(drive.log), drive.reference), 0.5, math.radians(15.0))
     assert is_charted(known, 99)
     assert not is_charted(keyframes(read_log(drive.log), 0.5, 1.0), 99)
+    count = len(known.steps)
+    for unknown in (slice(1, None), slice(0, count // 2), slice(5, 5 + count // 3)):  # of a part only
+        steps = list(known.steps)
+        steps[unknown] = [step._replace(truth=None) for step in steps[unknown]]
+        assert not is_charted(replace(known, steps=tuple(steps)), 99)
+    steps = [step if i % 4 == 0 else step._replace(truth=None) for i, step in enumerate(known.steps)]
+    assert is_charted(replace(known, steps=tuple(steps)), 99)
     info = session.make_info(known, [ESTIMATORS["dfs"]], known.params(particles=5))
     browser = Browser(0)
     browsers(server, monkeypatch, browser)
@@ -350,13 +358,19 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
         status = engine.wait(lambda s: s.step == end(source), PATIENCE)
         view[0].show(status)
         panel._refresh()
-        breaks = judge.breaks(0, "", status.taken.step)["dfs"]  # type: ignore[union-attr]
+        found = judge.breaks(0, "", status.taken.step)  # type: ignore[union-attr]
+        breaks = found["dfs"]
         lines = panel.server.scene.get_handle_by_name("/map/dfs/relations")
         assert lines is not None
         assert lines.visible == bool((breaks.off > 0.1).any())  # type: ignore[attr-defined]
         text = view[0].describe_relations()
         assert f"Dual FastSLAM: {breaks.told()}" in text
+        assert text.endswith(
+            f"odometry alone: {found['odometry'].told()}\n- relations, matching alone: {found['matching'].told()}"
+        )
         assert text in panel.table.content
+        assert "NEES" not in panel.table.content  # nobody knows the truth
+        assert not panel.plots._error._handle.visible
         view[0].visible("relations", False)
         assert not lines.visible
         engine.reset(source=build("loop"))
@@ -365,5 +379,7 @@ def test_relations_are_a_layer_and_a_line(server, engine, source, drive):
         assert not {"scans", "relations"} & set(panel.layers)
         assert view[0].describe_relations() == ""
         assert "relations" not in panel.table.content
+        assert "| error, m | NEES |" in panel.table.content
+        assert panel.plots._error._handle.visible
     finally:
         panel.close()

@@ -292,3 +292,16 @@ def test_windows_show_where_the_robot_has_been(
         if row
     ]
     assert {round(height, 1) for _, height in (begin, far, end)} <= set(heights)
+
+
+def test_a_file_that_fell_behind_shows_the_last_step_when_it_is_closed(info: SessionInfo, tmp_path: Path) -> None:
+    """With all pictures: of its last steps it had numbers only."""
+    writer, step = Writer(info, lambda *how: FileStream(tmp_path / "run.rrd", *how)), None
+    for step in session.steps(info):
+        writer.step(step, "usual" if step.index < 5 else "present" if step.index < 9 else "numbers")
+    writer.close()
+    assert step is not None
+    found = Recording(tmp_path / "run.rrd")
+    for entity, component in (("path", "LineStrips3D:strips"), ("lineages", "LineStrips3D:strips")):
+        assert max(dict(found.rows(f"/world/dfs/{entity}", component, "step"))) == step.index
+    assert max(dict(found.rows("/world/scans", "Points3D:positions", "step"))) == step.index

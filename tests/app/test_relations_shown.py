@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -250,3 +251,20 @@ def test_a_summary_and_a_recording_agree(drive: Drive, tmp_path: Path) -> None:
     mean = json.loads(summary.read_text())["relations"]["dfs"]["translation_m"]["mean"]
     page = dict(Recording(record).rows("/relations", "TextDocument:text", "step"))[20][0]
     assert f"| Dual FastSLAM | {mean:.3g} |" in page
+
+
+def test_compare_tells_what_recordings_say_of_relations(
+    drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [str(tmp_path / "with.rrd"), str(tmp_path / "without.rrd")]
+    command = ["run", str(drive.log), "--particles", "5", "--filters", "dfs", "--record"]
+    assert cli.entry([*command, paths[0], "--relations", str(drive.relations)]) == 0
+    assert cli.entry([*command, paths[1]]) == 0
+    capsys.readouterr()
+    assert cli.entry(["compare", *paths]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "mean error of relations" in line]
+    _, pages = zip(*Recording(paths[0]).rows("/relations", "TextDocument:text", "step"), strict=True)
+    found = dict(re.findall(r"^\| ([^|]+?) \| (\S+) \|", pages[-1][0], re.MULTILINE))
+    assert line.startswith("with, mean error of relations after step ")
+    for title in ("odometry", "matching", "Dual FastSLAM"):
+        assert f"{title} {found[title]} m" in line

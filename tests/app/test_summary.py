@@ -69,9 +69,11 @@ def test_schema(tmp_path):
         "steps",
         "complete",
         "params",
+        "matching",
         "changes",
         "events",
         "relations",
+        "alone",
         "filters",
     ]
     assert (summary["schema"], summary["world"], summary["seed"]) == (SCHEMA, "loop", 2)
@@ -79,6 +81,7 @@ def test_schema(tmp_path):
     assert summary["params"]["particles"] == 10
     assert summary["params"]["believed"]["range"] == summary["params"]["noise"]["range"] == 0.05
     assert summary["params"]["options"]["length"] == 30.0
+    assert summary["params"]["odometry"] is summary["matching"] is None
     assert list(summary["filters"]) == ["dfs", "fs2", "fs1", "ekf"]
     for key, filter in summary["filters"].items():
         assert set(filter) == ARRAYS | NUMBERS

@@ -150,7 +150,7 @@ def test_rawlaser_takes_its_pose_from_odom_messages(tmp_path: Path) -> None:
     expected = [[1.1, 2.2, middle], [1.2, 2.4, -math.pi], [1.4, 2.8, -3.1]]
     np.testing.assert_allclose(source.scans.odometry, expected, atol=1e-6)
     (warning,) = source.warnings
-    assert "some.log:4: 1 scans lie before the first or after the last ODOM message" in warning
+    assert "some.log:4: 1 scan lies before the first or after the last ODOM message" in warning
 
 
 def test_corrected_poses_are_the_truth(tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ def test_odometry_that_leaps_is_a_warning(tmp_path: Path) -> None:
     poses = POSES.copy()
     poses[3:, 0] += 6.0
     (warning,) = read_log(write(tmp_path, plain_log(poses))).warnings
-    assert "some.log:4: 1 times the odometry leaps by more than 5 m between two scans, here by 5.9 m" in warning
+    assert "some.log:4: once the odometry leaps by more than 5 m between two scans, here by 5.9 m" in warning
 
 
 def test_a_robot_that_stands_still_for_an_hour(tmp_path: Path) -> None:
