@@ -305,7 +305,7 @@ class Writer:
         if old:
             self._write_surroundings(step, everything=True)
             for key, update in step.filters.items():
-                self._write_memory(key, update, step.index, everything=True, past=True)
+                self._write_memory(key, update, step.index, everything=True, picture=True)
             self._write_scans(step)
         self._write_relations(step)
 
