@@ -304,6 +304,7 @@ class Writer:
         self._stream.set_time(3 * step.index, *self._now(step))
         if old:
             self._write_surroundings(step, everything=True)
+            self._write_descent(step, picture=True)
             for key, update in step.filters.items():
                 self._write_memory(key, update, step.index, everything=True, picture=True)
             self._write_scans(step)
