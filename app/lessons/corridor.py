@@ -55,9 +55,9 @@ the straight line is in the *map*, and that is what Dual FastSLAM samples. Ask o
 and what is Gaussian, and you know what a single particle can say.""",
     measured="""\
 In 20 of 20 seeds (0 to 19). Over 200 seeds the deviation along the corridor that one Dual particle reports
-after 40 m is 1.05 +- .05 of its true error, that of one FastSLAM 2.0 particle .07 (`dualslam study
-corridor-spread --doors none`). In this corridor there are no doors; where they stand open to rooms, the way
-along is in the map as well, and frozen with it.""",
+after 40 m is 1.05 +- .05 of its true error, that of one FastSLAM 2.0 particle, past closed doors, .07
+(`dualslam study corridor-spread`, with and without `--doors none`). In this corridor there are no doors;
+where they stand open to rooms, the way along is in the map as well, and frozen with it.""",
     variants=(
         Variant(ONE, "corridor --doors none --particles 1 --steps 100"),
         Variant(MANY, "corridor --doors none --particles 30 --steps 100"),

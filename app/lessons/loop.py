@@ -56,8 +56,8 @@ back. Duplicates, walls that are mapped twice, are the trace that a missed closu
     measured="""\
 In 14 of 20 seeds (0 to 19), and in the medians over all of them. Dual FastSLAM ended 5 to 74 cm off, FastSLAM
 2.0 10 to 80 cm, dead reckoning 0.7 to 9.2 m. In the six others Dual FastSLAM was more than half a metre off,
-dead reckoning was lucky, or FastSLAM 1.0, which closes some one loop in five, had closed it. `dualslam study
-loop-closure` counts closed loops over more seeds.""",
+dead reckoning was lucky, or FastSLAM 1.0, which now and then closes the loop, had mapped few walls twice.
+`dualslam study loop-closure` counts closed loops over more seeds.""",
     variants=(Variant(FEW, "loop --particles 30"),),
     columns=(ERROR_END, ODOMETRY, DUPLICATES, diversity(-1)),
     claim=_claim,

@@ -63,7 +63,8 @@ $weight$
 $n-eff$""",
     question="""\
 Which of these mistakes would you find by looking at the error of the pose? Which by N_eff? One of them makes
-the filter look **healthier** than the right one, by every number that needs no truth. Which?""",
+the filter look **healthier** than the right one, by N_eff, by diversity and by how seldom it resamples.
+Which?""",
     watch="""\
 - **Particles** with the unsampled proposal: one point. All are copies, although each has a founder of its
   own.
