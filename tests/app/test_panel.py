@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import math
 import time
+from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -397,7 +398,8 @@ def test_garbage_of_a_client_does_no_harm(live, client):
         other = Client(panel.port)
         other.camera()
         other.send(strange)
-        other.raw(b"\x00\xff\x13garbage")
+        with suppress(websockets.exceptions.ConnectionClosed):  # the server may have had enough already
+            other.raw(b"\x00\xff\x13garbage")
         time.sleep(0.05)
         other.close()
     assert 1 <= engine.desk.read().params.particles <= MOST
