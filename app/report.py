@@ -19,7 +19,7 @@ from app.relations import PathErrors
 from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
-from scenarios.logs.learning import odometry_believed
+from scenarios.logs.learning import Origin, odometry_believed, origin_of_belief
 from slam.features import Point
 from slam.mistakes import MISTAKES
 from slam.perception.odometry_noise import OdometryNoise
@@ -122,7 +122,7 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
     told = []
     noise = odometry_believed(info.source.motion, info.params.believed)
     if noise is not None:
-        told.append(in_words(noise))
+        told.append(in_words(noise, origin_of_belief(info.source, info.params.believed)))
     steps, used = summary.unmatched.total(), summary.unmatched[""]
     if steps:
         reasons = [f"{reason} ({count})" for reason, count in summary.unmatched.most_common() if reason]
@@ -134,11 +134,19 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
     return told
 
 
-def in_words(noise: OdometryNoise) -> str:
+ORIGINS: dict[Origin, str] = {
+    "scans": "as its scans show",
+    "guess": "at a guess, since its scans show too little of it",
+    "given": "as given",
+}
+"""Where what is believed of an odometry comes from."""
+
+
+def in_words(noise: OdometryNoise, origin: Origin) -> str:
     """What is believed to be wrong with an odometry."""
     per_metre, per_radian = math.degrees(noise.turn_per_metre), math.degrees(noise.turn_per_radian)
     return (
-        f"odometry, as its scans show, off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways and "
+        f"odometry, {ORIGINS[origin]}, off by {number(noise.along)} m ahead, {number(noise.lateral)} m sideways and "
         f"{number(per_metre)}° after one metre, {number(noise.slip)} m and {number(per_radian)}° after a radian"
     )
 

@@ -4,7 +4,8 @@
      "mistake": name (--mistake) | null,
      "steps": n, "complete": bool,      steps done; whether these are all that were asked for
      "params": {every field of slam.types.Params, "noise": {...} | null, "options": {...}, "align": bool,
-        "odometry": {"along", "lateral", "slip", "turn_per_metre", "turn_per_radian"} | null},
+        "odometry": {"along", "lateral", "slip", "turn_per_metre", "turn_per_radian",
+           "from": "scans" | "guess" | "given"} | null},
      "matching": {"steps": n, "used": n, "reasons": {reason: n, ...}} | null,
      "changes": [[step, sentence], ...], "events": [[step, key, sentence], ...],
      "relations": {"file": text, "relations": n, key or "odometry": {"used", "left_out",
@@ -36,8 +37,9 @@
 - `null`: not known (no truth, no tags).  JSON has no infinity: an infinite NEES, of a collapsed mixture, is null too
   and counted in `nees_infinite`.
 - `alone`: of a log, the RMS of the position error without any filter, and of scan matching if scans were matched.
-- `odometry`: of a log of a laser, what is believed to be wrong with its odometry, as its own scans show it: deviations
-  in metres and radians after one metre, `slip` and `turn_per_radian` after turning by one radian.
+- `odometry`: of a log of a laser, what is believed to be wrong with its odometry: deviations in metres and radians
+  after one metre, `slip` and `turn_per_radian` after turning by one radian; `from` its own scans, or a guess where
+  these show too little of it, or scaled to what was given (`--believed.odometry`).
 - `matching`: at how many steps scans were matched, at how many of these that was used, and why not at the others; null
   if there were none.
 - `real_time_factor`: seconds of the source for each second that the filter computed; above 1 is faster than real time;
@@ -64,7 +66,7 @@ from app.relations import PathErrors
 from app.session import flat
 from app.types import FilterUpdate, SessionInfo, SessionStep
 from app.version import version
-from scenarios.logs.learning import odometry_believed
+from scenarios.logs.learning import odometry_believed, origin_of_belief
 from slam.alignment import align_rigid
 from slam.geometry import wrap_all
 from slam.metrics import rms
@@ -187,7 +189,9 @@ class Summary:
         params["options"] = {name: plain(value) for name, value in info.source.options.items()}
         params["align"] = self.align
         odometry = odometry_believed(info.source.motion, info.params.believed)
-        params["odometry"] = None if odometry is None else plain(odometry._asdict())
+        params["odometry"] = None
+        if odometry is not None:
+            params["odometry"] = {**odometry._asdict(), "from": origin_of_belief(info.source, info.params.believed)}
         return {
             "schema": SCHEMA,
             "version": version(),

@@ -19,7 +19,7 @@ from app.files import check_file, write_whole
 from app.options import default
 from app.report import in_words, print_whole
 from app.sources import RECORDING, WORLD_FILE, LogParts, describe_options, load, options_as_typed, world_values
-from scenarios.logs.learning import odometry_believed
+from scenarios.logs.learning import odometry_believed, origin_of_belief
 from scenarios.preview import WorldRow, driven, preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
@@ -174,7 +174,9 @@ def _print_log(console: Console, source: Source) -> None:
     if scan is not None:
         console.print(f"laser: {_laser(scan)}", soft_wrap=True)
     noise = odometry_believed(source.motion, source.noise)
-    what = f"range {source.noise.range:.3g} m; {in_words(noise)}" if noise else _noise(source)
+    what = _noise(source)
+    if noise is not None:
+        what = f"range {source.noise.range:.3g} m; {in_words(noise, origin_of_belief(source, source.noise))}"
     console.print(f"noise: {what}", soft_wrap=True)
     told = sum(step.truth is not None for step in source.steps)
     truth = "known" if told == steps else f"known at {told} of these steps" if told else "not known"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from scenarios.logs.odometry import increments
 from scenarios.types import Source
@@ -11,6 +13,9 @@ from slam.motion import Odometry
 from slam.perception.odometry import worth_matching
 from slam.perception.odometry_noise import OdometryNoise, odometry_noise
 from slam.types import Noise
+
+Origin = Literal["scans", "guess", "given"]
+"""Of what is believed of an odometry: its log shows it, or shows too little of it, or somebody said so."""
 
 GOOD = (
     "{}: its odometry is as good as scan matching (its heading is {:.2g} rad off after a metre), so "
@@ -57,3 +62,11 @@ def odometry_believed(motion: Any, believed: Noise) -> OdometryNoise | None:
         turn_per_metre=believed.odometry * motion.turn_per_metre,
         turn_per_radian=believed.odometry * motion.turn_per_radian,
     )
+
+
+def origin_of_belief(source: Source, believed: Noise) -> Origin:
+    """Where `odometry_believed` comes from, of a source whose odometry has it."""
+    if believed.odometry != source.noise.odometry:
+        return "given"
+    guess, found = odometry_noise([], np.zeros((0, 3))), odometry_believed(source.motion, believed)
+    return "guess" if found is not None and np.allclose(found, guess) else "scans"

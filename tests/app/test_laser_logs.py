@@ -208,6 +208,31 @@ def test_what_is_odd_in_a_part_is_said_before_it_runs(tmp_path: Path, capsys: py
     assert out.splitlines()[0].endswith("; scans 5 to 99 of it, every 2nd")
 
 
+@pytest.mark.parametrize(
+    ("short", "options", "origin", "words"),
+    [
+        (False, (), "scans", "odometry, as its scans show, off by "),
+        (False, ("--believed.odometry", "0.5"), "given", "odometry, as given, off by 0.5 m ahead"),
+        (True, (), "guess", "odometry, at a guess, since its scans show too little of it, off by "),
+    ],
+)
+def test_where_the_noise_of_odometry_comes_from_is_said(
+    drive: Drive,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    short: bool,
+    options: tuple[str, ...],
+    origin: str,
+    words: str,
+) -> None:
+    log = write(tmp_path, plain_log(np.outer(np.arange(3), [0.3, 0.0, 0.0]))) if short else drive.log
+    assert run(log, *options) == 0
+    assert words in capsys.readouterr().out
+    summary = tmp_path / "s.json"
+    assert run(log, *options, "--summary", summary) == 0
+    assert json.loads(summary.read_text())["params"]["odometry"]["from"] == origin
+
+
 def test_a_log_can_be_looked_at_before_it_is_run(drive: Drive, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.entry(["worlds", str(drive.log)]) == 0
     out = capsys.readouterr().out
