@@ -49,11 +49,25 @@ class Event(NamedTuple):
     """What happened, in a word or two: "resampled", "depleted", "loop closed", "nothing seen" ..."""
 
 
+class Blind(NamedTuple):
+    """A stretch without any observation."""
+
+    first: int = 0
+    """Its first step."""
+    steps: int = 0
+    lasted: float = 0.0
+    """[s] since something was seen; without time stamps in scans."""
+
+
 class Watch:
     """Turns steps into events.  What lasts, or comes and goes, is told when it begins and not at every step."""
 
-    def __init__(self, titles: dict[str, str]) -> None:
+    def __init__(self, titles: dict[str, str], has_clock: bool = True) -> None:
+        """`titles` of the filters by key; `has_clock`: times are seconds, and not the numbers of scans."""
         self._titles = titles
+        self._has_clock = has_clock
+        self.blind = Blind()
+        """The longest stretch of those that were told; of no steps if there was none."""
         self._last: dict[tuple[str, str], int] = {}
         """The last step at which something was so."""
         self._seen: float | None = None
@@ -78,7 +92,7 @@ class Watch:
             self._travelled += math.dist(self._odometry[:2], step.odometry[:2])
         self._odometry = step.odometry
         events = [Event("INFO", f"Parameter changed: {change}") for change in step.changes]
-        events += self._sight(step.frame)
+        events += self._sight(step.index, step.frame)
         events += self._matched(step)
         for key, update in step.filters.items():
             told = self._of_filter(key, update, step)
@@ -97,22 +111,24 @@ class Watch:
         elif step.match.used and step.index - missed == QUIET:
             yield Event("INFO", f"Scan matching is used again since step {missed + 1}", kind="matched again")
 
-    def _sight(self, frame: Frame) -> Iterator[Event]:
+    def _sight(self, index: int, frame: Frame) -> Iterator[Event]:
         """That nothing is seen, when that has lasted; and when it ends."""
         if self._seen is None:
             self._seen = frame.time - float(np.sum(frame.dt))
         gone = frame.time - self._seen
         if len(frame.z) > 0:
             if self._blind:
-                yield Event("INFO", f"Something is seen again, after {gone:.1f} s", kind="seen again")
+                after = f"{gone:.1f} s" if self._has_clock else f"{gone:.0f} scans"
+                yield Event("INFO", f"Something is seen again, after {after}", kind="seen again")
             self._seen, self._empty, self._blind = frame.time, 0, False
             return
         self._empty += 1
         if not self._blind and gone >= BLIND and self._empty >= BLIND_STEPS:
             self._blind = True
-            yield Event(
-                "WARN", f"Nothing has been seen since {self._seen:.1f} s, for {gone:.0f} s", kind="nothing seen"
-            )
+            told = f"since {self._seen:.1f} s, for {gone:.0f} s" if self._has_clock else f"for {gone:.0f} scans"
+            yield Event("WARN", f"Nothing has been seen {told}", kind="nothing seen")
+        if self._blind and gone > self.blind.lasted:
+            self.blind = Blind(index - self._empty + 1, self._empty, gone)
 
     def _of_filter(self, key: str, update: FilterUpdate, step: SessionStep) -> Iterator[tuple[str, str, str]]:
         """Kind, level and text."""

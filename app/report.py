@@ -14,6 +14,7 @@ from rich.text import Text
 
 from app.colours import of_filter
 from app.compiling import CompileClock
+from app.events import Blind
 from app.paths import MATCHED, ODOMETRY
 from app.relations import PathErrors
 from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, number
@@ -108,6 +109,8 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     if summary.steps and not summary.observed:
         thing = "landmark" if isinstance(info.source.feature, Point) else "wall"
         console.print(f"no {thing} was seen in any of these steps: all of this is dead reckoning", style="yellow")
+    elif summary.blind.steps:
+        console.print(on_blindness(summary.blind, info.source.has_clock), style="yellow", soft_wrap=True)
     for key, series in summary.filters.items():
         events = [(step, text) for step, who, text in summary.faults if who == key]
         for step, text in events[:SHOWN_EVENTS]:
@@ -132,6 +135,15 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
         off = info.params.matching == "off"
         told.append(f"scan matching: {'off' if off else 'left alone, since the odometry is as good'}")
     return told
+
+
+def on_blindness(blind: Blind, has_clock: bool) -> str:
+    """A sentence on steps in which nothing was seen."""
+    lasted = f"{blind.lasted:.0f} s" if has_clock else f"{blind.lasted:.0f} scans"
+    return (
+        f"nothing was seen for {lasted}, in {blind.steps} steps from step {blind.first} on (the longest such stretch): "
+        "that is dead reckoning"
+    )
 
 
 ORIGINS: dict[Origin, str] = {

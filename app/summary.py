@@ -59,7 +59,7 @@ from typing import Any
 
 import numpy as np
 
-from app.events import Watch
+from app.events import Blind, Watch
 from app.files import write_whole
 from app.paths import Paths
 from app.relations import PathErrors
@@ -147,7 +147,7 @@ class Summary:
         self._ways = Paths()
         self._ways.begin(info)
         self.filters = {f.key: FilterSeries(f.title) for f in info.filters}
-        self._watch = Watch({f.key: f.title for f in info.filters})
+        self._watch = Watch({f.key: f.title for f in info.filters}, info.source.has_clock)
         if self.paths is not None:
             self.paths.begin(info)
 
@@ -175,6 +175,11 @@ class Summary:
         """Write what there is, after an interruption too."""
         if self.path is not None:
             write_whole(self.path, dump(self.as_dict()))
+
+    @property
+    def blind(self) -> Blind:
+        """The longest stretch of half a minute or more in which nothing was seen; of no steps if there was none."""
+        return self._watch.blind
 
     def seconds(self) -> float:
         """[s] of the source that the steps so far cover, their controls included."""

@@ -248,7 +248,8 @@ class History:
         return session.start(self._info(dataclasses.replace(first, filters=tuple(keys))))
 
     def _fresh_watch(self) -> Watch:
-        return Watch({key: estimator.title for key, estimator in ESTIMATORS.items()})
+        titles = {key: estimator.title for key, estimator in ESTIMATORS.items()}
+        return Watch(titles, self.info.source.has_clock)
 
     def _step(self, state: State, settings: Settings) -> tuple[State, SessionStep]:
         return session.advance(self._info(settings), state, settings.params)

@@ -123,7 +123,8 @@ class Writer:
         """The last step of which relations were written."""
         self._limits = limits_for(info.steps)
         self._features = walls if isinstance(info.source.feature, Wall) else landmarks
-        self._watch = Watch({key: estimator.title for key, estimator in ESTIMATORS.items()})
+        titles = {key: estimator.title for key, estimator in ESTIMATORS.items()}
+        self._watch = Watch(titles, info.source.has_clock)
         self._truth: list[list[Floats]] = []
         """Stretches of the path along which the truth is known."""
         self._truth_seen = -math.inf

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app import session
-from app.events import Watch
+from app.events import Blind, Watch
 from app.loops import Loops, right_matches
 from app.recording import Recorder
 from app.recording.pipe import Pipe
@@ -150,12 +150,12 @@ def test_what_lasts_is_told_once():
     assert min(np.diff(lost), default=99) > 1
 
 
-def sights(times: list[float], seen: list[int]) -> list[tuple[float, str, str, str, str]]:
+def sights(times: list[float], seen: list[int], watch: Watch | None = None) -> list[tuple[float, str, str, str, str]]:
     """Time and event, of a session without filters in which so many things are seen at these times."""
-    watch, told = Watch({}), []
-    for time, before, count in zip(times, [0.0, *times], seen, strict=False):
+    watch, told = watch or Watch({}), []
+    for index, (time, before, count) in enumerate(zip(times, [0.0, *times], seen, strict=False), 1):
         frame = SimpleNamespace(time=time, dt=np.array([time - before]), z=np.zeros((count, 2)))
-        step = SimpleNamespace(frame=frame, changes=(), filters={}, odometry=np.zeros(3), match=None)
+        step = SimpleNamespace(index=index, frame=frame, changes=(), filters={}, odometry=np.zeros(3), match=None)
         told += [(time, *event) for event in watch.step(step)]  # type: ignore[arg-type]
     return told
 
@@ -168,6 +168,25 @@ def test_it_is_told_once_that_nothing_is_seen_and_when_that_ends():
     assert again == (100.5, "INFO", "Something is seen again, after 80.5 s", "", "seen again")
     ((time, _, text, *_),) = sights(times, [0] * 400)
     assert (time, text) == (30.0, "Nothing has been seen since 0.0 s, for 30 s")
+
+
+def test_without_a_clock_scans_are_counted():
+    times, seen = [float(i) for i in range(1, 201)], [0 if 20 < i <= 100 else 3 for i in range(1, 201)]
+    nothing, again = sights(times, seen, Watch({}, has_clock=False))
+    assert (nothing[0], nothing[2]) == (50.0, "Nothing has been seen for 30 scans")
+    assert again[2] == "Something is seen again, after 81 scans"
+
+
+def test_the_longest_blind_stretch_is_kept():
+    times = [0.5 * i for i in range(1, 401)]
+    for blind, kept in (
+        (lambda t: 20 < t <= 60 or 80 < t <= 140 or 150 < t <= 190, Blind(161, 120, 60.0)),
+        (lambda t: t > 150, Blind(301, 100, 50.0)),  # to the end
+        (lambda t: 20 < t <= 49, Blind()),  # too short to be told
+    ):
+        watch = Watch({})
+        sights(times, [0 if blind(time) else 3 for time in times], watch)
+        assert watch.blind == kept
 
 
 def test_where_one_looks_but_rarely_it_is_not_told():

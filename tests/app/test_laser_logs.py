@@ -208,6 +208,23 @@ def test_what_is_odd_in_a_part_is_said_before_it_runs(tmp_path: Path, capsys: py
     assert out.splitlines()[0].endswith("; scans 5 to 99 of it, every 2nd")
 
 
+@pytest.mark.parametrize("stamped", [True, False])
+def test_that_no_wall_was_seen_for_long_is_said_at_the_end(
+    drive: Drive, tmp_path: Path, capsys: pytest.CaptureFixture[str], stamped: bool
+) -> None:
+    """Something came back meanwhile, from one beam in ten: too little for a wall."""
+    lines = []
+    for k, (scan, pose) in enumerate(zip(drive.scans, drive.odometry, strict=True)):
+        few = (np.arange(len(scan.ranges)) % 10 == 0) | (k < 10) | (k >= 55)
+        ranges = np.where(few & np.isfinite(scan.ranges), scan.ranges, NOTHING)
+        lines.append(flaser(ranges, pose, pose, 1000.0 + 1.5 * k if stamped else None))
+    assert run(write(tmp_path, "".join(lines)), "--keyframe", "0,0") == 0
+    out, err = capsys.readouterr()
+    (line,) = [line for line in out.splitlines() if "nothing was seen for" in line]
+    assert line.startswith(f"nothing was seen for {'68 s' if stamped else '45 scans'}, in 45 steps from step 11 on")
+    assert "nothing came back" not in err
+
+
 @pytest.mark.parametrize(
     ("short", "options", "origin", "words"),
     [
