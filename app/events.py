@@ -10,6 +10,7 @@ import numpy as np
 
 from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
+from scenarios.words import times
 from slam.features import Point, Wall
 from slam.metrics import nees_interval
 from slam.types import Floats, Frame, Trace
@@ -249,7 +250,7 @@ def _resampled(update: FilterUpdate, threshold: float) -> str:
     reason = f"< {threshold:.0%} of {K}" if threshold < 1.0 else f"of {K}"
     return (
         f"resampled: N_eff {trace.n_eff:.1f} {reason}; {np.count_nonzero(children)} live on, "
-        f"one {children.max()} times; {update.measures.diversity:.0%} of the founders left"
+        f"one {times(int(children.max()))}; {update.measures.diversity:.0%} of the founders left"
     )
 
 

@@ -21,6 +21,7 @@ from app.rows import NEES, ROWS, UPDATE, Row, known, nees_text, nees_title, numb
 from app.summary import FilterSeries, Summary
 from app.types import SessionInfo, SessionStep
 from scenarios.logs.learning import Origin, odometry_believed, origin_of_belief
+from scenarios.words import counted
 from slam.features import Point
 from slam.mistakes import MISTAKES
 from slam.perception.odometry_noise import OdometryNoise
@@ -85,7 +86,7 @@ class ProgressBar:
 def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     """What was run, the table, and what went wrong on the way."""
     how_long = f"{summary.seconds():.0f} s" if info.source.has_clock else "no time stamps"
-    what = f"{len(summary.steps)} step{'s' if len(summary.steps) != 1 else ''}, {how_long}, seed {info.seed}"
+    what = f"{counted(len(summary.steps), 'step')}, {how_long}, seed {info.seed}"
     console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}", soft_wrap=True)
     console.print(f"{what}, {info.params.association} association")
     if info.mistake:
@@ -116,7 +117,7 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
         for step, text in events[:SHOWN_EVENTS]:
             console.print(f"[{_style(key)}]{series.title}[/], step {step}: {escape(text)}", soft_wrap=True)
         if len(events) > SHOWN_EVENTS:
-            console.print(f"[{_style(key)}]{series.title}[/]: {len(events) - SHOWN_EVENTS} more events")
+            console.print(f"[{_style(key)}]{series.title}[/]: {counted(len(events) - SHOWN_EVENTS, 'more event')}")
 
 
 def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
@@ -130,7 +131,7 @@ def on_odometry(info: SessionInfo, summary: Summary) -> list[str]:
     if steps:
         reasons = [f"{reason} ({count})" for reason, count in summary.unmatched.most_common() if reason]
         why = f"; not used: {', '.join(reasons)}" if reasons else ""
-        told.append(f"scan matching: used in {used} of {steps} step{'s' if steps != 1 else ''}{why}")
+        told.append(f"scan matching: used in {used} of {counted(steps, 'step')}{why}")
     elif noise is not None:
         off = info.params.matching == "off"
         told.append(f"scan matching: {'off' if off else 'left alone, since the odometry is as good'}")

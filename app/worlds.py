@@ -23,6 +23,7 @@ from scenarios.logs.learning import odometry_believed, origin_of_belief
 from scenarios.preview import WorldRow, driven, preview, world_row
 from scenarios.registry import build, scenario, worlds
 from scenarios.types import Source
+from scenarios.words import counted
 from scenarios.world_file import world_text
 from slam.motion import Ackermann, Odometry
 from slam.types import Scan
@@ -164,10 +165,9 @@ def _print_log(console: Console, source: Source) -> None:
     steps, frames = len(source.steps), [step.frame for step in source.steps]
     seconds = sum(float(frame.dt.sum()) for frame in frames)
     duration = f"in {seconds:.0f} s" if source.has_clock else "without time stamps"
-    scans = "" if source.scans is None else f"{len(source.scans.stamps)} scans, of which keyframes are "
+    scans = "" if source.scans is None else f"{counted(len(source.scans.stamps), 'scan')}, of which keyframes are "
     console.print(
-        f"\n{sum(map(driven, frames)):.0f} m by odometry {duration}, {scans}{steps} "
-        f"observing step{'s' if steps != 1 else ''}",
+        f"\n{sum(map(driven, frames)):.0f} m by odometry {duration}, {scans}{counted(steps, 'observing step')}",
         soft_wrap=True,
     )
     scan = max((frame.scan for frame in frames if frame.scan is not None), key=lambda s: len(s.bearings), default=None)

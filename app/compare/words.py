@@ -11,6 +11,7 @@ import numpy as np
 from app.compare.numbers import Comparison, Filter
 from app.compare.runs import BRANCH_MARK, Run, common_steps
 from app.errors import UsageError
+from scenarios.words import counted
 from slam.estimators import ESTIMATORS
 from slam.types import Ints
 
@@ -121,7 +122,7 @@ def _steps(found: Comparison) -> str:
     counts = {run.name: len(run.steps) for run in found.runs}
     low, high = int(found.steps[0]), int(found.steps[-1])
     if len(set(counts.values())) == 1 and len(found.steps) == len(found.runs[0].steps):
-        return f"compared over all {len(found.steps)} steps, {low} to {high}"
+        return f"compared over all {counted(len(found.steps), 'step')}, {low} to {high}"
     has = ", ".join(f"{name} has {count}" for name, count in counts.items())
     return f"{has} steps: compared over the {len(found.steps)} that all have, {low} to {high}"
 
@@ -208,7 +209,7 @@ def _missing(found: Comparison) -> Iterator[str]:
             if column.missing:
                 yield f"the recording of {column.run.name} lacks {_and(sorted(column.missing))} of {one.title}"
         if len(one.steps) < len(found.steps):
-            yield f"{one.title} was not always on: compared over {len(one.steps)} steps, {_span(one)}"
+            yield f"{one.title} was not always on: compared over {counted(len(one.steps), 'step')}, {_span(one)}"
 
 
 def _knows(run: Run, found: Comparison) -> bool:

@@ -18,6 +18,7 @@ from app.live.history import History
 from app.live.publisher import FILE_STEPS, Publisher
 from app.live.script import script_of
 from app.summary import dump
+from scenarios.words import counted
 
 KEEP_EVERY = 5.0
 """[s] after which the script of a session is saved again, while it is recorded."""
@@ -80,7 +81,7 @@ class Records:
             done = publisher.join(PATIENCE)
             self._publisher = None
             self._save(path)
-            steps = f"{publisher.published} steps"
+            steps = counted(publisher.published, "step")
             if publisher.error:
                 self._told = f"**lost**: {publisher.error} ({steps} of {path})"
             elif not done:
@@ -104,7 +105,7 @@ class Records:
         if publisher.error:
             return f"**{path} is lost from here on**: {publisher.error}"
         size = path.stat().st_size / 1e6 if path.exists() else 0.0
-        return f"recording {path}: {publisher.published} steps, {size:.1f} MB, {publisher.waiting} waiting"
+        return f"recording {path}: {counted(publisher.published, 'step')}, {size:.1f} MB, {publisher.waiting} waiting"
 
     def _save(self, path: Path) -> None:
         """Write the script of the session beside its recording; not that of another one, after a reset meanwhile."""

@@ -25,6 +25,7 @@ from app.panel.descent import Ancestry
 from app.panel.guard import guarded_server
 from app.types import SessionInfo
 from scenarios.types import Source
+from scenarios.words import counted
 from slam.estimators import ESTIMATORS
 
 RATE = 8.0
@@ -551,5 +552,5 @@ def _tree(status: Status) -> str:
     for name, parent, at, done in status.branches:
         here = " **(here)**" if name == status.branch else ""
         origin = f", left {parent or TRUNK} after step {at}" if name else ""
-        lines.append(f"- {name or TRUNK}: {done} steps{origin}{here}")
+        lines.append(f"- {name or TRUNK}: {counted(done, 'step')}{origin}{here}")
     return "\n".join(lines)

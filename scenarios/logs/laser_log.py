@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scenarios.logs.odometry import increments, path_length
 from scenarios.types import LogScans, Source, SourceError, Step
+from scenarios.words import counted, times
 from slam.features import Wall
 from slam.geometry import circular_mean, compose, invert, wrap_all
 from slam.motion import Odometry
@@ -117,7 +118,7 @@ def spread(path: Path, lines: Ints, groups: Sequence[Beams]) -> tuple[tuple[Beam
             start, spacing = FIELD_OF_VIEW[n]
             bearings = np.radians(start + spacing * np.arange(n))
             if len({FIELD_OF_VIEW.get(count) for count in counts}) > 1:
-                scans = f"{len(group.rows)} scan{'s' if len(group.rows) != 1 else ''}"
+                scans = counted(len(group.rows), "scan")
                 warnings.append(
                     f"{first}: the number of readings changes, and nothing tells where the beams look; those of "
                     f"{scans} of {n} are taken to be {spacing:g} degrees apart, from {start:g}"
@@ -167,7 +168,7 @@ def _title(log: LaserLog, beams: Sequence[Beams], has_truth: bool) -> str:
     counts = [len(group.bearings) for group in beams if len(group.bearings)]
     number = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
     return (
-        f"{log.format} {log.path.name}: {len(log.stamps)} scan{'s' if len(log.stamps) != 1 else ''} of {number} beams, "
+        f"{log.format} {log.path.name}: {counted(len(log.stamps), 'scan')} of {number} beams, "
         f"{path_length(log.odometry):.0f} m by odometry{', corrected poses as truth' if has_truth else ''}"
     )
 
@@ -229,13 +230,9 @@ def _time_warnings(log: LaserLog) -> list[str]:
     if not len(odd):
         return []
     return [
-        f"{log.place(int(odd[0]) + 1)}: {_times(len(odd))} the time stamps jump, back by more than {JUMP_BACK:g} s or "
+        f"{log.place(int(odd[0]) + 1)}: {times(len(odd))} the time stamps jump, back by more than {JUMP_BACK:g} s or "
         f"ahead by more than {JUMP_AHEAD:g} s, here by {step[odd[0]]:.3f} s; the order is that of the file"
     ]
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
 
 
 def _leap_warnings(log: LaserLog) -> list[str]:
@@ -244,7 +241,7 @@ def _leap_warnings(log: LaserLog) -> list[str]:
     if not len(odd):
         return []
     return [
-        f"{log.place(int(odd[0]) + 1)}: {_times(len(odd))} the odometry leaps by more than {LEAP:g} m between two "
+        f"{log.place(int(odd[0]) + 1)}: {times(len(odd))} the odometry leaps by more than {LEAP:g} m between two "
         f"scans, here by {way[odd[0]]:.1f} m"
     ]
 

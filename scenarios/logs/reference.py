@@ -13,6 +13,7 @@ import numpy as np
 from scenarios.logs.odometry import carried, travelled
 from scenarios.logs.text import read_table
 from scenarios.types import Source, SourceError
+from scenarios.words import counted
 from slam.types import Floats, Ints
 
 COLUMNS = ("scan", "time stamp [s]", "x [m]", "y [m]", "heading [rad]")
@@ -77,6 +78,7 @@ def _read(path: Path, stamps: Floats) -> tuple[Ints, Floats, list[str]]:
     warnings = list(table.warnings)
     if not same.all():
         row = int(np.argmin(same))
-        warnings.append(f"{table.place(row)}: {(~same).sum()} lines with other time stamps than the log are left out")
+        lines = counted(int((~same).sum()), "line")
+        warnings.append(f"{table.place(row)}: left out {lines} with another time stamp than the log, here the first")
     chosen, first = np.unique(scans[same], return_index=True)
     return chosen, table.values[same][first, 2:], warnings

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from scenarios.logs.text import Table
 from scenarios.types import SourceError
+from scenarios.words import counted, times
 from slam.types import Floats
 
 HOLD = 0.5
@@ -41,16 +42,20 @@ def with_controls(controls: Table, stamps: Floats, start: float) -> tuple[NDArra
     warnings = []
     if early.any():
         begin = f"{controls.place(0)}: the controls begin at {t[0]:.3f} s"
-        warnings.append(f"{begin}, so {early.sum()} times of observations before {start:.3f} s are left out")
+        warnings.append(
+            f"{begin}, so observations at {counted(int(early.sum()), 'time')} before {start:.3f} s are left out"
+        )
     if late.any():
         end = f"{controls.place(-1)}: the controls end at {t[-1]:.3f} s"
-        warnings.append(f"{end}, so {late.sum()} times of observations after {t[-1] + HOLD:.3f} s are left out")
+        warnings.append(
+            f"{end}, so observations at {counted(int(late.sum()), 'time')} after {t[-1] + HOLD:.3f} s are left out"
+        )
     gaps = np.diff(t)
     if (gaps > LONG_GAP).any():
         row = int(np.argmax(gaps))
         warnings.append(
-            f"{controls.place(row)}: {(gaps > LONG_GAP).sum()} times the controls pause for more than {LONG_GAP:g} s, "
-            f"here for {gaps[row]:.1f} s; the last control is held meanwhile"
+            f"{controls.place(row)}: {times(int((gaps > LONG_GAP).sum()))} the controls pause for more than "
+            f"{LONG_GAP:g} s, here for {gaps[row]:.1f} s; the last control is held meanwhile"
         )
     good = ~early & ~late
     if not good.any():

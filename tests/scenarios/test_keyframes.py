@@ -257,7 +257,7 @@ def test_lines_of_a_reference_with_other_stamps_are_left_out(source: Source, tmp
     rows = [(0, 1000.0), (1, 1000.4), (2, 1000.86)]
     found = with_reference(source, reference(tmp_path, rows, compose(SHIFT, raw(source)[[0, 1, 3]])))
     (warning,) = found.warnings
-    assert "some.ref.txt:4: 1 lines with other time stamps than the log are left out" in warning
+    assert "some.ref.txt:4: left out 1 line with another time stamp than the log" in warning
     assert_poses(np.array([found.steps[2].truth]), compose(SHIFT, raw(source)[[2]]))
 
 

@@ -155,7 +155,7 @@ def test_observations_without_controls_are_left_out(tmp_path: Path) -> None:
     rows = "90.0 63 1.9 0.1\n100.15 63 1.9 0.1\n120.0 63 1.9 0.1\n130.0 63 1.9 0.1\n"
     source = read_log(write_mrclam(tmp_path / "set", changes={"Robot1_Measurement": "# Measurement Data\n" + rows}))
     assert [step.frame.time for step in source.steps] == [100.15]
-    assert any("Robot1_Odometry.dat:3" in w and "1 times" in w for w in source.warnings)
+    assert any("Robot1_Odometry.dat:3" in w and "at 1 time before" in w for w in source.warnings)
     assert any("Robot1_Odometry.dat:6" in w and "2 times" in w for w in source.warnings)
 
 
