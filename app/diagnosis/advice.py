@@ -105,7 +105,7 @@ def _particles(case: Case, overconfident: bool) -> Finding:
         text += f" {found.expected():.2g} were to be expected"
     window = _window(case, found)
     if window:
-        text += f"; over any {WINDOW} steps {window} keep as many"
+        text += f"; for any {WINDOW} steps alone {window}, by the same reckoning"
         numbers["particles_for_window"] = float(window)
     tries = (f"--from {record.steps[found.start]} --set particles={wanted}",) if wanted > K else ()
     return Finding("advice", kind, f"{text}.", (), numbers, tries=tries)
