@@ -1,4 +1,5 @@
-"""Whether a filter knows how wrong it is: its errors beside its covariance, its innovations beside what it expected."""
+"""Whether a filter knows how wrong it is: its errors beside its covariance, its innovations beside what it expected,
+and what the luck of its particles adds."""
 
 from __future__ import annotations
 
@@ -24,10 +25,15 @@ SIGNIFICANT = 4.0
 MATTERS = 1.5
 """Factor between expected and actual squared innovation below which nobody needs to care."""
 
+LUCKY = 0.1
+"""Of the variance that a filter reports, how much the luck of its particles may add before that is a warning: as if the
+estimate were the mean of ten independent draws.  It can't be many times more: of the five families that it takes to
+tell (`slam.ancestry_variance`), .25 at the most if they are equal."""
+
 
 def findings(case: Case) -> list[Finding]:
-    """Of the errors, and of the innovations."""
-    return [*_errors(case), *_innovations(case)]
+    """Of the errors, of the innovations, and of luck."""
+    return [*_errors(case), *_innovations(case), *_luck(case)]
 
 
 def _errors(case: Case) -> list[Finding]:
@@ -101,6 +107,26 @@ def _on_purpose(case: Case) -> str:
         floors = " and floors" if case.walls else ""
         return f": known features are allowed more than the noise of the sensor, by inflate_r {inflated:g}{floors}."
     return ": it believes itself or the sensor to be worse than it is, and wastes what it sees."
+
+
+def _luck(case: Case) -> list[Finding]:
+    """How uncertain the estimate is by luck alone, at the last step at which that can be told."""
+    record = case.record
+    luck, spread = record["monte_carlo_m"], record["spread_m"]
+    told = np.flatnonzero((luck > 0.0) & (spread > 0.0))  # neither for a single particle, nor when no founders tell
+    if len(told) < LEAST:
+        return []
+    last = int(told[-1])
+    step, added = int(record.steps[last]), float(luck[last] / spread[last]) ** 2
+    warns = added > LUCKY
+    text = f"By the luck of its particles alone its estimate of the position is uncertain by {luck[last]:.2g} m at step"
+    text += f" {step} (one standard deviation, told by who descends from whom), beside the {spread[last]:.2g} m that it"
+    text += f" reports: that adds {percent(added)} to the variance of its errors"
+    text += ", and less with more particles." if warns else "."
+    if last < len(record.steps) - LEAST:
+        text += " After that too few founders are left to tell; what luck did to all particles alike, nobody sees."
+    numbers = {"luck_m": float(luck[last]), "reported_m": float(spread[last]), "added": added, "step": float(step)}
+    return [Finding("consistency", "luck", text, (step,), numbers, warns=warns)]
 
 
 def mean_ratio(ratios: Floats, weights: Floats) -> tuple[float, float, int]:

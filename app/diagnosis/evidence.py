@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.diagnosis.marks import Marks, marks_of
+from slam.ancestry_variance import luck_of_pose
 from slam.metrics import Measures
 from slam.phases import noise_of_known, observation_noise
 from slam.types import NEW, Bools, Floats, Frame, Ints, Params, Trace
@@ -87,6 +88,15 @@ class Numbers(NamedTuple):
     in_turn: float
     """Whether each observation is weighed at the pose that those before it have corrected, and not all at the predicted
     one; 1 or 0."""
+    nees_x: float
+    """NEES of x, of y and of the heading alone, one degree of freedom each."""
+    nees_y: float
+    nees_heading: float
+    monte_carlo_m: float
+    """[m] deviation of the estimate itself by the luck of the particles (`slam.ancestry_variance`), root of the mean of
+    x and y; NaN where too few founders are left to tell."""
+    monte_carlo_rad: float
+    """[rad] of its heading."""
 
 
 class Observations(NamedTuple):
@@ -175,6 +185,7 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
     K, after = len(weighted.log_w), len(trace.ancestors)
     prior, w = np.exp(trace.predicted.log_w), np.exp(weighted.log_w)
     spread, own = (np.diagonal(C) for C in (measures.covariance, np.einsum("k,kab->ab", w, weighted.P)))
+    luck = luck_of_pose(weighted, measures.estimate)
     R = noise_of_known(frame, observation_noise(frame, params), params)
     return Evidence(
         Numbers(
@@ -216,6 +227,11 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             wrong=float(measures.wrong),
             missed=float(measures.missed),
             in_turn=float(weighed_in_turn(trace, params)),
+            nees_x=float(measures.nees_components[0]),
+            nees_y=float(measures.nees_components[1]),
+            nees_heading=float(measures.nees_components[2]),
+            monte_carlo_m=math.sqrt(0.5 * (luck[0] + luck[1])),
+            monte_carlo_rad=math.sqrt(luck[2]),
         ),
         Observations(why.observations, trace.n[best].copy(), innovation_widths(trace, R.sensor + R.model)),
         marks_of(trace, frame, params),

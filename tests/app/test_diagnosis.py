@@ -29,7 +29,7 @@ from app.diagnosis.consistency import findings as consistency
 from app.diagnosis.consistency import mean_ratio
 from app.diagnosis.diagnose import diagnose
 from app.diagnosis.evidence import Numbers, Observations, record_of
-from app.diagnosis.findings import Case, Diagnosis, percent
+from app.diagnosis.findings import Case, Diagnosis, Finding, percent
 from app.diagnosis.reading import read_cases
 from app.diagnosis.words import as_dict, commands, markdown
 from app.live.diagnoses import NOTHING, Diagnoses
@@ -335,6 +335,42 @@ class TestConsistency:
         texts = [next(f.text for f in consistency(c) if f.kind == "ranges cautious") for c in (case, inflated)]
         assert "worse than it is" in texts[0]
         assert "by inflate_r 9" in texts[1]
+
+
+class TestLuck:
+    """How uncertain the estimate is by the luck of the particles alone."""
+
+    @staticmethod
+    def told(case: Case) -> list[Finding]:
+        return [found for found in consistency(case) if found.kind == "luck"]
+
+    def test_a_fifth_of_the_deviation_is_said_and_half_of_it_is_a_warning(self) -> None:
+        (little,) = self.told(made(monte_carlo_m=np.full(30, 0.02), spread_m=0.1))
+        assert "uncertain by 0.02 m at step 30 " in little.text
+        assert "beside the 0.1 m that it reports: that adds 4 % to the variance of its errors." in little.text
+        assert (little.warns, little.steps) == (False, (30,))
+        (much,) = self.told(made(monte_carlo_m=np.full(30, 0.05), spread_m=0.1))
+        assert much.text.endswith("that adds 25 % to the variance of its errors, and less with more particles.")
+        assert much.warns
+
+    def test_it_is_told_of_the_last_step_at_which_founders_tell(self) -> None:
+        luck = np.concatenate([np.linspace(0.01, 0.04, 15), np.full(25, math.nan)])
+        (found,) = self.told(made(monte_carlo_m=luck, spread_m=np.full(40, 0.1)))
+        assert (found.steps, found.numbers["luck_m"]) == ((15,), 0.04)
+        assert "After that too few founders are left to tell" in found.text
+        (found,) = self.told(made(monte_carlo_m=luck[:20], spread_m=0.1))  # they may tell again
+        assert "After that" not in found.text
+
+    def test_nothing_is_said_where_nothing_can_be_told(self) -> None:
+        assert not self.told(made(monte_carlo_m=np.full(30, math.nan), spread_m=0.1))
+        assert not self.told(made(monte_carlo_m=np.full(30, 0.0), spread_m=0.1))  # nothing was drawn yet
+        assert not self.told(made(monte_carlo_m=np.full(9, 0.02), spread_m=0.1))
+        assert not self.told(collected("paper-line", "ekf", steps=20))
+
+    def test_a_filter_of_ours(self) -> None:
+        """With four times as many particles luck does half as much, within a third."""
+        few, many = (self.told(collected("loop", "dfs", 1, 60, particles=k))[0].numbers["luck_m"] for k in (50, 200))
+        assert few / many == pytest.approx(2.0, rel=0.33)
 
 
 class TestAdvice:
