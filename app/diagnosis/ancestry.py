@@ -53,7 +53,7 @@ class Losses(NamedTuple):
     tau: float
     """The sum of r_t since then."""
     per_particle: float
-    """The sum of K r_t: tau for any K, times K."""
+    """The sum of K r_t over the whole record: tau for any K, times K."""
 
     def expected(self) -> float:
         """n(tau): how many founders are left if weights have nothing to do with what is inherited."""
@@ -70,9 +70,8 @@ def losses(record: Record) -> Losses:
     K, related = record["particles"], np.nan_to_num(record["related"])
     founders, start = np.round(record["diversity"] * K), since_change(record)
     begins = start == 0 and _begins(record, founders)
-    counted = slice(start if begins else start + 1, None)
-    tau, per_particle = float(related[counted].sum()), float((K * related)[counted].sum())
-    return Losses(founders, start, float(K[0] if begins else founders[start]), tau, per_particle)
+    tau = float(related[start if begins else start + 1 :].sum())
+    return Losses(founders, start, float(K[0] if begins else founders[start]), tau, float((K * related).sum()))
 
 
 def _begins(record: Record, founders: Floats) -> bool:
@@ -113,6 +112,18 @@ def particles_for(founders: float, per_particle: float) -> float:
     most = (founders + 1.0) * (1.0 + 0.5 * per_particle)
     found: Any = brentq(lambda K: left_of(K, per_particle / K) - founders, founders - 1.0, most)
     return float(found)
+
+
+def tau_to_common_ancestors(record: Record) -> float:
+    """The mean over the steps of the sum of r_t back to the most recent common ancestor: 2 (1 - 1 / K) of a coalescent.
+
+    From where a run has three times as much behind it; where there is no common ancestor even so, that is all it has.
+    """
+    before = np.concatenate([[0.0], np.cumsum(np.nan_to_num(record["related"]))])
+    ages, steps = record["common_ancestor"], np.arange(len(record.steps))
+    then = np.where(np.isfinite(ages), np.maximum(steps + 1 - np.nan_to_num(ages), 0), 0).astype(int)
+    sums = (before[1:] - before[then])[before[1:] > 3.0 * 2.0]
+    return float(sums.mean()) if len(sums) else math.inf
 
 
 def great_losses(record: Record) -> Ints:
@@ -171,7 +182,7 @@ def _founders(record: Record, found: Losses) -> Finding:
     if "related" not in record.missing:
         numbers |= {"related": found.tau, "founders_expected": found.expected()}
         if found.tau > 0.0:
-            text += f"; as many copies, made by weights that are not inherited, would leave {found.expected():.2g}"
+            text += f"; as many copies would leave {found.expected():.2g} by chance, if weights were not inherited"
     few = left <= max(FEW * found.first, 1.0)
     return Finding("diversity", "founders", text + ".", tuple(at.values()), numbers, warns=bool(few))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.diagnosis.ancestry import great_losses, losses, since_resampling
 from app.diagnosis.evidence import Observations, Record
-from app.diagnosis.findings import Case, Finding, percent
+from app.diagnosis.findings import Case, Finding, amount, percent
 from slam.types import Bools, Floats, Ints
 
 MOST = 0.5
@@ -20,6 +20,9 @@ of the map, if they are expected as sharply as that."""
 
 SHARP = 2.0
 """Expected deviation over that of the sensor below which the pose has no part in an observation any more."""
+
+WORTH_TELLING = 1.5
+"""The same, from which on it is told."""
 
 WIDE = 3.0
 """Spread between particles over what each expects, from which on most are where the likelihood is not."""
@@ -126,7 +129,7 @@ def findings(case: Case) -> list[Finding]:
     whole = causes(record, np.flatnonzero(leading) if len(greatest) else slice(None))
     when = "the losses" if len(greatest) else "all steps"
     found = [_of_all(case, whole, when, tuple(int(record.steps[i]) for i in greatest[:TOLD]))]
-    found += [_of_one(case, int(i)) for i in greatest[:TOLD]]
+    found += [_of_one(case, int(i)) for i in sorted(greatest[:TOLD])]
     ignored = _ignored(record)
     if ignored > DISAGREE:
         text = (
@@ -165,13 +168,14 @@ def _of_all(case: Case, found: Causes, when: str, steps: tuple[int, ...]) -> Fin
     elif kind == "what was not matched":
         text += " Particles disagree on what is known and what is new."
     elif kind == "proposal wider than the sensor":
-        text += (
-            f" The poses are spread {max(found.wide):.3g} times wider than the sensor tells them apart: in the worst"
-        )
-        text += f" step {percent(found.inside)} of them are where the likelihood is."
-    numbers = {"variance": found.variance, "first": found.first, "second": found.second, "unmatched": found.unmatched}
-    numbers |= {"drawn": found.drawn, "shape": found.shape, "wide": max(found.wide), "inside": found.inside}
-    return Finding("cause", kind, text, steps, numbers, warns=bool(steps))
+        text += f" The poses are spread {amount(max(found.wide))} times wider than the sensor tells them apart: in the"
+        text += f" worst step {percent(found.inside)} of them are where the likelihood is."
+    return Finding("cause", kind, text, steps, _numbers(found), warns=bool(steps) and kind != "observations")
+
+
+def _numbers(found: Causes) -> dict[str, float]:
+    told = {"variance": found.variance, "first": found.first, "second": found.second, "unmatched": found.unmatched}
+    return told | {"drawn": found.drawn, "shape": found.shape, "wide": max(found.wide), "inside": found.inside}
 
 
 def _parts(case: Case, found: Causes) -> str:
@@ -179,7 +183,7 @@ def _parts(case: Case, found: Causes) -> str:
     parts = {first: found.first, second: found.second, "what was not matched": found.unmatched, "the draw": found.drawn}
     ordered = sorted(parts.items(), key=lambda item: -item[1])
     told = [f"{percent(share)} is by {what}" for what, share in ordered if share >= 0.005]
-    told += [f"{what} speaks against it ({percent(share)})" for what, share in ordered if share <= -0.1]
+    told += [f"{percent(share)} by {what}, against the others" for what, share in ordered if share <= -0.005]
     return ", ".join(told) or "nothing stands out"
 
 
@@ -192,16 +196,20 @@ def _of_one(case: Case, index: int) -> Finding:
     first = int(record.steps[steps.start])
     text = f"Step {step}: founders {before:g} to {founders[index]:g}, N_eff {record['n_eff'][index]:.3g} of {K:g}; of"
     text += f" the variance of the log weights since step {first}, {_parts(case, found)}"
-    features = [(f, share) for f, share in found.features.items() if f >= 0 and share >= 0.1][:TOLD]
-    if features:
-        named = ", ".join(f"feature {f} {percent(share)}" for f, share in features)
+    features = {f: share for f, share in found.features.items() if f >= 0}
+    great = [(f, share) for f, share in features.items() if share >= 0.1][:TOLD]
+    if great:
+        named = ", ".join(f"feature {f} {percent(share)}" for f, share in great)
+        against = sum(share for share in found.features.values() if share < 0.0)
+        named += f", others {percent(against)}, against them" if against <= -0.005 else ""
         text += f"; of that at step {record.steps[found.decisive]}, {named} (of the best map)"
     kind = kind_of(found)
     if kind == "shape of the map":
         text += f"; {percent(found.shape)} by the shape of the map"
-    if max(found.wide) >= 1.0:
-        text += f"; the proposal is {max(found.wide):.2g} times as wide as the sensor"
+    if max(found.wide) >= WORTH_TELLING:
+        text += f"; the proposal is {amount(max(found.wide))} times as wide as the sensor"
         text += f", and the likelihood reaches {percent(found.inside)} of the particles"
     numbers = {"founders_before": float(before), "founders_after": float(founders[index]), "since_step": float(first)}
-    numbers |= {"shape": found.shape, "variance": found.variance}
+    numbers |= {"n_eff": float(record["n_eff"][index]), "particles": float(K), **_numbers(found)}
+    numbers |= {f"feature_{f}": share for f, share in features.items()}
     return Finding("cause", f"loss: {kind}", text + ".", (step,), numbers)

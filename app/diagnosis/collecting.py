@@ -30,15 +30,15 @@ class Collector:
 
     def __init__(self) -> None:
         self._rows: dict[str, list[Row]] = {}
-        self._walls = False
+        self._walls = self._log = False
 
     def begin(self, info: SessionInfo) -> None:
         """A session begins."""
-        self.start(isinstance(info.source.feature, Wall))
+        self.start(info)
 
-    def start(self, walls: bool, before: Collector | None = None, until: int = 0) -> None:
+    def start(self, info: SessionInfo, before: Collector | None = None, until: int = 0) -> None:
         """The same, of a branch of what another one has collected, up to a step."""
-        self._walls = walls
+        self._walls, self._log = isinstance(info.source.feature, Wall), info.source.kind == "log"
         rows = {} if before is None else before._rows
         self._rows = {key: [row for row in found if row.step <= until] for key, found in rows.items()}
 
@@ -61,4 +61,4 @@ class Collector:
         steps = np.array([row.step for row in rows])
         numbers = np.array([row.evidence.row for row in rows], float)
         record = record_of(steps, NAMES, numbers, [row.evidence.observations for row in rows])
-        return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(rows[-1].params), record)
+        return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(rows[-1].params), record, self._log)

@@ -54,7 +54,8 @@ def read_cases(path: Path, branch: str = "") -> Cases:
         params = told["params"]
         warnings.append(f"{error}: what parameters became after the beginning is not gone by")
     walls = told.get("features") == "walls"
-    cases = [Case(key, ESTIMATORS[key].title, walls, params, record) for key, record in records.items()]
+    log = told.get("kind") == "log"
+    cases = [Case(key, ESTIMATORS[key].title, walls, params, record, log) for key, record in records.items()]
     heading = f"{told['world']}, seed {told['seed']}, step {last} of {asked}" + (f", branch {branch}" if branch else "")
     return Cases(told["world"], heading, cases, warnings)
 

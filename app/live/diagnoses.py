@@ -10,7 +10,6 @@ from app.diagnosis.diagnose import diagnose
 from app.diagnosis.words import markdown
 from app.live.engine import Begun, Forked, Stepped
 from app.pace import Pace
-from slam.features import Wall
 
 DUTY = 0.05
 """Share of the time that it may take while steps are made."""
@@ -50,8 +49,7 @@ class Diagnoses:
         """A branch has in common with its parent what was before it."""
         collector = Collector()
         with self._lock:
-            walls = isinstance(forked.info.source.feature, Wall)
-            collector.start(walls, self._branches.get(forked.parent), forked.at)
+            collector.start(forked.info, self._branches.get(forked.parent), forked.at)
             self._branches[forked.name] = collector
 
     def stepped(self, stepped: Stepped) -> None:

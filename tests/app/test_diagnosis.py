@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from app import cli, session
+from app.diagnosis import particles
 from app.diagnosis.advice import findings as advice
 from app.diagnosis.ancestry import (
     ENOUGH,
@@ -22,6 +23,7 @@ from app.diagnosis.ancestry import (
     parents,
     particles_for,
     since_resampling,
+    tau_to_common_ancestors,
 )
 from app.diagnosis.causes import causes, kind_of, of_the_shape
 from app.diagnosis.collecting import Collector
@@ -29,7 +31,7 @@ from app.diagnosis.consistency import findings as consistency
 from app.diagnosis.consistency import mean_ratio
 from app.diagnosis.diagnose import diagnose
 from app.diagnosis.evidence import Numbers, Observations, record_of
-from app.diagnosis.findings import Case, Diagnosis, Finding, percent
+from app.diagnosis.findings import Case, Diagnosis, Finding, amount, percent
 from app.diagnosis.reading import read_cases
 from app.diagnosis.words import as_dict, commands, markdown
 from app.live.diagnoses import NOTHING, Diagnoses
@@ -40,7 +42,7 @@ from app.recording import Recorder
 from app.recording.reading import Recording
 from app.recording.stream import FileStream
 from app.recording.writer import Writer
-from app.types import SessionStep
+from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.types import Params
@@ -63,6 +65,11 @@ def made(seen: list[Observations] | None = None, **columns: Any) -> Case:
     nothing = Observations(np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
     record = record_of(np.arange(1, T + 1), Numbers._fields, rows, seen or [nothing] * T)
     return Case("dfs", "Dual FastSLAM", False, dataclasses.asdict(Params()), record)
+
+
+def _info() -> SessionInfo:
+    source = build("paper-line")
+    return session.make_info(source, [ESTIMATORS["dfs"]], source.params(), None, 0)
 
 
 @pytest.fixture(scope="module")
@@ -127,14 +134,14 @@ class TestEvidence:
 
     def test_a_filter_that_is_switched_on_late_has_its_own_steps(self, run: tuple[list[SessionStep], Case]) -> None:
         steps, _ = run
-        collector = Collector()
-        collector.start(False)
+        collector, info = Collector(), _info()
+        collector.start(info)
         for step in steps[10:15]:
             collector.step(step)
             collector.step(step)  # once more, as after going back
         assert collector.cases()[0].record.steps.tolist() == [11, 12, 13, 14, 15]
         later = Collector()
-        later.start(False, collector, until=13)
+        later.start(info, collector, until=13)
         assert later.cases()[0].record.steps.tolist() == [11, 12, 13]
         assert collector.cases(until=12)[0].record.steps.tolist() == [11, 12]
 
@@ -318,12 +325,37 @@ class TestConsistency:
         found = next(f for f in consistency(made(nis_first=nis)) if f.kind.startswith("ranges"))
         assert (found.kind, found.steps, found.warns) == ("ranges off at times", (60,), True)
 
+    @pytest.mark.parametrize(
+        ("nees", "kind", "said"),
+        [
+            (np.full(40, 1.4), "consistent", "no sign of overconfidence"),
+            (np.concatenate([np.full(35, 1.4), np.full(5, 9.0)]), "consistent", "it may be chance"),
+            (np.full(40, 0.3), "cautious", "errors are smaller than it believes"),
+        ],
+    )
+    def test_nees_that_is_not_overconfident(self, nees: Any, kind: str, said: str) -> None:
+        found = consistency(made(nees_position=nees))[0]
+        assert found.kind == kind
+        assert said in found.text
+
+    def test_a_measured_truth_is_said_to_be_one(self) -> None:
+        case = made(nees_position=np.full(40, 1.4))
+        assert "a truth that was measured" in consistency(case._replace(measured=True))[0].text
+        assert "a truth that was measured" not in consistency(case)[0].text
+
+    def test_an_error_that_innovations_do_not_show(self) -> None:
+        nis = np.random.default_rng(0).chisquare(1, (2, 60))
+        wrong = made(nees_position=np.full(60, 9.0), nis_first=nis[0], nis_second=nis[1])
+        assert "error unseen" in {f.kind for f in consistency(wrong)}
+        assert "error unseen" not in {f.kind for f in consistency(made(nis_first=nis[0], nis_second=nis[1]))}
+
     def test_overconfidence(self) -> None:
         nees = np.concatenate([np.full(10, 1.0), np.full(20, 9.0)])
         found = consistency(made(nees_position=nees, nis_first=1.0, nis_second=1.0))
         assert found[0].kind == "overconfident"
         assert found[0].steps == (11,)
         assert "67 %" in found[0].text
+        assert "longest from step 11 to 30" in found[0].text
         assert (
             consistency(made(nees_position=np.full(30, math.nan), nis_first=np.full(30, 1.0)))[0].kind
             != "overconfident"
@@ -375,11 +407,11 @@ class TestLuck:
 
 class TestAdvice:
     def test_particles_by_the_numbers(self) -> None:
-        related = np.full(20, 0.02)  # tau 0.4: 5.5 of 100 founders are expected, and 5 are left
+        related = np.full(20, 0.02)  # tau 0.4: 5.3 of 100 founders are expected, and 5 are left
         found = advice(made(related=related, diversity=0.05), [])[0]
         assert found.kind == "more particles"
         assert found.numbers["particles"] == math.ceil(particles_for(LUCK * ENOUGH, 40.0) / 10.0) * 10
-        assert "With 620 particles 30 founders are expected" in found.text
+        assert found.text == "With 620 particles 10 founders should be left with most seeds."
         assert found.tries == (f"--from 1 --set particles={found.numbers['particles']:.0f}",)
 
     def test_in_vain(self) -> None:
@@ -393,6 +425,49 @@ class TestAdvice:
         found = advice(made(related=np.full(60, 1.0), diversity=1.0 / K, particles=K), [])[0]
         assert found.kind == "more particles at least"
         assert found.numbers["particles"] >= 10.0 * K
+
+    @pytest.mark.parametrize(
+        ("columns", "kinds", "why"),
+        [
+            ({"related": 0.02, "diversity": 0.05}, {"ranges off"}, "innovations are not what the filter expects"),
+            ({"related": 0.02, "diversity": 0.05}, {"shape of the map"}, "the shape of a map is inherited"),
+            ({"related": 0.08, "diversity": 0.01}, set(), "with 1 left, and few expected, they do not show"),
+            ({"related": 0.02, "diversity": 0.02}, set(), "2 are left where 5.3 are expected"),
+        ],
+    )
+    def test_numbers_that_do_not_tell(self, columns: dict[str, float], kinds: set[str], why: str) -> None:
+        found = particles.findings(made(None, **{name: np.full(20, value) for name, value in columns.items()}), kinds)[
+            0
+        ]
+        assert found.kind == "more particles at least"
+        assert why in found.text
+
+    def test_lines_that_meet_too_soon(self) -> None:
+        """Steps of r = .1: common ancestors 20 steps back on the average are a coalescent's, 5 steps back are not."""
+        for age, sooner in ((20.0, False), (5.0, True)):
+            case = made(related=np.full(150, 0.1), common_ancestor=age, diversity=0.01)
+            assert tau_to_common_ancestors(case.record) == pytest.approx(age * 0.1)
+            assert ("times sooner" in particles.findings(case, set())[0].text) == sooner
+
+    def test_a_mistake_comes_first(self) -> None:
+        found = Finding("mistake", "shared-maps", "")
+        assert [f.kind for f in advice(made(diversity=0.01), [found])] == ["repair"]
+
+    def test_noise_is_not_told_of_particles_that_died_out(self) -> None:
+        off, depleted = (
+            Finding("consistency", "ranges off", "", numbers={"ratio": 9.0}),
+            Finding("diversity", "depleted", ""),
+        )
+        assert "larger noise" in {f.kind for f in advice(made(diversity=0.5), [off])}
+        assert "larger noise" not in {f.kind for f in advice(made(diversity=0.5), [off, depleted])}
+
+    def test_noise_is_told_with_what_is_tried(self) -> None:
+        off, case = Finding("consistency", "ranges off", "", numbers={"ratio": 1.69}), made(diversity=0.5)
+        case = case._replace(params={**case.params, "inflate_r": 4.0})
+        found = next(f for f in advice(case, [off]) if f.kind == "larger noise")
+        assert "deviations 1.3 times larger" in found.text
+        assert "1.7 times the covariance (inflate_r 4 to 6.76)" in found.text
+        assert found.tries == ("--from 1 --set inflate_r=6.76",)
 
     def test_one_particle(self) -> None:
         case = made(related=math.nan, particles=1.0)
@@ -437,6 +512,8 @@ class TestAdvice:
     def test_commands(self, joint: Case) -> None:
         lines = [line for f in diagnose(joint).findings for line in commands(f, "a.rrd")]
         assert "dualslam whatif a.rrd --from 1 --set weighting=marginal" in lines
+        quoted = [line for f in diagnose(joint).findings for line in commands(f, "my runs/a.rrd")]
+        assert "dualslam whatif 'my runs/a.rrd' --from 1 --set weighting=marginal" in quoted
 
 
 class TestCases:
@@ -598,7 +675,7 @@ class TestWhileItRuns:
 
     def test_a_filter_is_not_there_before_it_was_switched_on(self) -> None:
         collector = Collector()
-        collector.start(False)
+        collector.start(_info())
         late = self.steps("fs2", 15)[9:]
         for step in [*self.steps("dfs", 9), *late]:
             collector.step(step)
@@ -607,7 +684,7 @@ class TestWhileItRuns:
 
     def test_parameters_are_those_of_the_step(self) -> None:
         collector = Collector()
-        collector.start(False)
+        collector.start(_info())
         for step in self.steps("dfs", 5, (20, 30)):
             collector.step(step)
         assert [collector.cases(until)[0].params["particles"] for until in (5, 6)] == [20, 30]
@@ -616,7 +693,7 @@ class TestWhileItRuns:
     @pytest.mark.parametrize("key", ["dfs", "fs2", "fs1"])
     def test_any_number_of_particles(self, key: str, particles: tuple[int, ...]) -> None:
         collector = Collector()
-        collector.start(False)
+        collector.start(_info())
         for step in self.steps(key, 6, particles):
             collector.step(step)
         record = collector.cases()[0].record
@@ -695,3 +772,11 @@ def test_live_it_follows_steps_and_branches() -> None:
 )
 def test_shares_in_words(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(2240.0, "2200"), (160.3, "160"), (0.0621, "0.062"), (math.inf, "infinite"), (3.71e8, "3.7e+08"), (2.0, "2")],
+)
+def test_amounts_in_words(value: float, text: str) -> None:
+    assert amount(value) == text
