@@ -54,7 +54,8 @@ def _errors(case: Case) -> list[Finding]:
         return [Finding("consistency", kind, f"{text}{more}. One run says little; more seeds say more.", (), numbers)]
     lasting = np.flatnonzero(_lasting(nees[there] > high))
     since = int(steps[there][lasting[0]]) if len(lasting) else 0
-    text += ": it is overconfident" + (f", from step {since} on for at least {LEAST} steps" if since else "")
+    text += ": in this run it is overconfident"
+    text += f", from step {since} on for at least {LEAST} steps" if since else ""
     infinite = float(np.isinf(nees[there]).mean())
     if infinite > 0.0:
         text += f"; in {percent(infinite)} its particles agree on one pose altogether"
@@ -86,6 +87,14 @@ def _innovations(case: Case) -> list[Finding]:
             text = f"The squared innovations of {what} are {ratio:.2g} of what the filter expects"
             text += _on_purpose(case)
             found.append(Finding("consistency", f"{what} cautious", text, (), numbers))
+        elif ratio > MATTERS:
+            worst = int(record.steps[np.nanargmax(record[name])])
+            text = (
+                f"The squared innovations of {what} are {ratio:.2g} times what the filter expects, but few steps make"
+            )
+            text += f" that, most of all step {worst}: something was matched wrongly there, or far from where it was"
+            text += " expected."
+            found.append(Finding("consistency", f"{what} off at times", text, (worst,), numbers, warns=True))
         else:
             text = f"The squared innovations of {what} are {ratio:.2g} times what is expected: as they should be."
             found.append(Finding("consistency", f"{what} as expected", text, (), numbers))

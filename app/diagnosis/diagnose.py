@@ -18,7 +18,7 @@ NEEDED = {
 def diagnose(case: Case) -> Diagnosis:
     """All that can be told of a filter.  What is not known is said, and nothing is guessed in its place."""
     found = _mistakes(case)
-    if case.record["particles"][0] > 1 or "particles" in case.record.missing:
+    if (case.record["particles"] > 1).any():
         found += [*ancestry.findings(case), *causes.findings(case)]
     found += [*consistency.findings(case), *_association(case)]
     found += advice.findings(case, found)

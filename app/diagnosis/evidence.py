@@ -16,7 +16,7 @@ from app.diagnosis.marks import Marks, marks_of
 from slam.ancestry_variance import luck_of_pose
 from slam.metrics import Measures
 from slam.phases import noise_of_known, observation_noise
-from slam.types import NEW, Floats, Frame, Ints, Params, Trace
+from slam.types import NEW, Bools, Floats, Frame, Ints, Params, Trace
 from slam.weights import innovation_statistics, innovation_widths, weight_variance
 
 
@@ -85,6 +85,9 @@ class Numbers(NamedTuple):
     """Observations that the best particle paired rightly; and wrongly, and not at all although it knows them."""
     wrong: float
     missed: float
+    in_turn: float
+    """Whether each observation is weighed at the pose that those before it have corrected, and not all at the predicted
+    one; 1 or 0."""
     nees_x: float
     """NEES of x, of y and of the heading alone, one degree of freedom each."""
     nees_y: float
@@ -141,6 +144,22 @@ class Record:
     def __getitem__(self, name: str) -> Floats:
         return self.numbers[name]
 
+    def part(self, chosen: Ints | Bools | slice) -> Record:
+        """Some of its steps."""
+        numbers = {name: values[chosen] for name, values in self.numbers.items()}
+        indices = np.arange(len(self.steps))[chosen]
+        seen = [self.observations[i] for i in indices] if self.observations else []
+        return Record(self.steps[chosen], numbers, seen, self.missing)
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """Of one filter, one after the other; what one of them does not know is missing."""
+    numbers = {name: np.concatenate([record[name] for record in records]) for name in NAMES}
+    complete = all(record.observations for record in records)
+    seen = [one for record in records for one in record.observations] if complete else []
+    missing = frozenset[str]().union(*(record.missing for record in records))
+    return Record(np.concatenate([record.steps for record in records]), numbers, seen, missing)
+
 
 def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: list[Observations]) -> Record:
     """From rows (T, n) of numbers that are called so; those that another version had besides are left out."""
@@ -148,6 +167,14 @@ def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: lis
     nothing = np.full(len(steps), math.nan)
     numbers = {name: columns.get(name, nothing) for name in NAMES}
     return Record(steps, numbers, observations, frozenset(NAMES) - frozenset(names))
+
+
+def weighed_in_turn(trace: Trace, params: Params) -> bool:
+    """`Numbers.in_turn`.  Poses that are drawn before anybody looks have no covariance to correct (FastSLAM 1.0); those
+    that are drawn after it have lost theirs by the end of the step (2.0); those that keep it weigh as asked (Dual)."""
+    if not trace.weighted.P.any():
+        return False
+    return params.weighting == "joint" if trace.resampled.P.any() else True
 
 
 def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) -> Evidence:
@@ -199,6 +226,7 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             correct=float(measures.correct),
             wrong=float(measures.wrong),
             missed=float(measures.missed),
+            in_turn=float(weighed_in_turn(trace, params)),
             nees_x=float(measures.nees_components[0]),
             nees_y=float(measures.nees_components[1]),
             nees_heading=float(measures.nees_components[2]),

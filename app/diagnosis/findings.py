@@ -78,3 +78,8 @@ def several(count: float, what: str) -> str:
 def are(count: float) -> str:
     """`is` of one, `are` of several."""
     return "is" if count == 1 else "are"
+
+
+def were(count: float) -> str:
+    """`was` of one, `were` of several."""
+    return "was" if count == 1 else "were"
