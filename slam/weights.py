@@ -125,7 +125,8 @@ def innovation_widths(trace: Trace, R: Floats) -> Floats:
     """
     m = _mixtures(trace, np.exp(trace.predicted.log_w))
     widths = np.full(len(R), np.nan)
-    widths[m.observation] = (np.linalg.det(m.V) / np.linalg.det(R[m.observation])) ** 0.25
+    with np.errstate(divide="ignore", invalid="ignore"):  # NaN where V is as good as singular, and R may be
+        widths[m.observation] = (np.linalg.det(m.V) / np.linalg.det(R[m.observation])) ** 0.25
     return widths
 
 

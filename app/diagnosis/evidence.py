@@ -212,10 +212,10 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             wide_second=why.wide[1],
             nis_first=innovations.first,
             nis_second=innovations.second,
-            spread_m=math.sqrt(0.5 * (spread[0] + spread[1])),
-            spread_rad=math.sqrt(spread[2]),
-            own_m=math.sqrt(0.5 * (own[0] + own[1])),
-            own_rad=math.sqrt(own[2]),
+            spread_m=_root(0.5 * (spread[0] + spread[1])),
+            spread_rad=_root(spread[2]),
+            own_m=_root(0.5 * (own[0] + own[1])),
+            own_rad=_root(own[2]),
             position_error_m=measures.position_error_m,
             heading_error_rad=measures.heading_error_rad,
             nees_position=measures.nees_position,
@@ -236,3 +236,8 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
         Observations(why.observations, trace.n[best].copy(), innovation_widths(trace, R.sensor + R.model)),
         marks_of(trace, frame, params),
     )
+
+
+def _root(variance: float) -> float:
+    """The deviation; NaN for a variance that rounding made negative, where a covariance is as good as singular."""
+    return math.sqrt(variance) if variance >= 0.0 else math.nan

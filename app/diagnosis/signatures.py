@@ -1,7 +1,8 @@
 """Which of the classic mistakes a filter has in it, told from its numbers alone.
 
 A mistake is named if a statement fails that holds for a right filter by construction, or if what happened has a chance
-below `LEVEL` in a right one.  Where nothing happened that could have failed, nothing can be said of that mistake.
+below `LEVEL` in a right one: that most of the draws of a step are exactly their mean, or that the first particle lives
+on and on.  Where nothing happened that could have failed, nothing can be said of that mistake.
 """
 
 from __future__ import annotations
@@ -21,6 +22,13 @@ LEVEL = 1e-6
 
 UNDERFLOW = math.log(5e-324)
 """Below this natural logarithm a plain number is zero."""
+
+MOST = 0.5
+"""Share of the draws of a step above which they are no draws.  Of two at least all must be what each is with a chance
+of 4e-7 at the most (`slam.checks.COARSE`)."""
+
+SEVERAL = 2
+"""Particles that came to the numbers of others: one may be a chance."""
 
 
 class Finding(NamedTuple):
@@ -71,13 +79,14 @@ Signature = Callable[[Columns, Ints], "Finding | bool"]
 def _shared_maps(marks: Columns, steps: Ints) -> Finding | bool:
     known = np.isfinite(marks["gained"])
     gained, twins = (np.nan_to_num(marks[name]) for name in ("gained", "twins"))
-    found = (gained > 0) | (twins > 0)
+    several = twins >= SEVERAL
+    found = (gained > 0) | several
     if not found.any():
         return bool(known.any())
     parts = []
     if gained.any():
         parts.append(f"a map gained {int(gained.max())} features that its particle had not found new")
-    if twins.any():
+    if several.any():
         parts.append(f"{int(twins.max())} particles came to the numbers of others that stood elsewhere")
     return _finding(
         "shared-maps", steps, found, known, f"{' and '.join(parts)}: particles write into each other's maps"
@@ -98,7 +107,7 @@ def _weights_not_reset(marks: Columns, steps: Ints) -> Finding | bool:
 def _plain_weights(marks: Columns, steps: Ints) -> Finding | bool:
     contradicted = marks["contradicted"]
     found = contradicted > ROUNDING
-    least = float(np.min(marks["exponent"][found], initial=math.inf))
+    least = float(np.nanmin(marks["exponent"][found], initial=math.inf))
     return _finding(
         "plain-weights", steps, found, ~np.isnan(contradicted),
         f"weights are zero, or equal, against what the log likelihoods say; products of densities are down to "
@@ -120,7 +129,7 @@ def _unwrapped_angles(marks: Columns, steps: Ints) -> Finding | bool:
 
 def _unsampled_proposal(marks: Columns, steps: Ints) -> Finding | bool:
     undrawn = marks["undrawn"]
-    found = undrawn > 0
+    found = undrawn > MOST
     share = float(np.max(undrawn[found], initial=0.0))
     return _finding(
         "unsampled-proposal", steps, found, np.isfinite(undrawn),
