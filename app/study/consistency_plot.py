@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PANELS = {"position": ("position", 2), "x": ("x", 1), "y": ("y", 1), "heading": ("heading", 1)}
 """By the name of an average: title, and degrees of freedom."""
 
-LOWEST, HIGHEST = 0.1, 100.0
+LOWEST, HIGHEST = 0.1, 30.0
 """What is beyond, infinity included, is drawn there: how far beyond does not matter, and the band stays to be seen."""
 
 
@@ -59,7 +59,7 @@ def figure_of(averages: Mapping[str, Mapping[str, Floats]], title: str, runs: in
     panels[0].set_yscale("log")
     panels[0].set_ylim(LOWEST / 1.15, HIGHEST * 1.15)
     panels[0].yaxis.set_major_formatter("{x:g}")
-    panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+    panels[-1].xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     panels[-1].set_xlabel("step")
     figure.supylabel(f"NEES, mean of {several(runs, 'run')} ({HIGHEST:g}: so much or more)", fontsize=9)
     figure.suptitle(title, x=0.01, ha="left", fontsize=9.5)

@@ -203,7 +203,7 @@ class TestConsistency:
             assert found[name]["share_in_band"] == ((averages >= low) & (averages <= high)).mean()
 
     def test_the_picture_has_a_line_for_each_filter_and_the_band_of_each_component(self, tmp_path):
-        values = np.array([1.0, 2.0, 30.0, math.inf, 0.01])
+        values = np.array([1.0, 2.0, 20.0, math.inf, 0.01])
         averages = {key: dict.fromkeys(("position", "x", "y", "heading", "pose"), values) for key in ("dfs", "fs1")}
         figure = consistency_plot.figure_of(averages, "a world", 20)
         assert [axes.get_title(loc="left").split(":")[0] for axes in figure.axes] == ["position", "x", "y", "heading"]
@@ -214,9 +214,9 @@ class TestConsistency:
             )
             assert [line.get_color() for line in lines] == ["#e69f00", "#009e73"]
             for line in lines:
-                assert line.get_ydata().tolist() == [1.0, 2.0, 30.0, 100.0, 0.1]
+                assert line.get_ydata().tolist() == [1.0, 2.0, 20.0, 30.0, 0.1]
             low, high = axes.get_ylim()
-            assert low < 0.1 < 100.0 < high
+            assert low < 0.1 < 30.0 < high
         drawn = [consistency_plot.draw(averages, "loop", 30, 20, tmp_path / name) for name in ("a", "b")]
         assert drawn == ["consistency-loop"] * 2
         one, other = ((tmp_path / name / "consistency-loop.svg").read_text() for name in ("a", "b"))

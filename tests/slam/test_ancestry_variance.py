@@ -131,20 +131,22 @@ class TestToy:
 class TestFilters:
     @pytest.mark.parametrize("key", ["dfs", "fs2"])
     def test_of_the_pose(self, key: str):
-        """Twenty steps of the paper's line with 60 particles: 40 runs on the same data.  The deviations of x, y and
-        heading are those over the runs, within a factor of 1.4; their own standard error is 11 %."""
+        """Forty steps of the paper's line with 60 particles: 40 runs on the same data.  The deviations of x, y and
+        heading are those over the runs, within 1.25; with each a family by itself, they are not at the end."""
         source = build("paper-line")
         params, filter_ = source.params(particles=60), ESTIMATORS[key]
-        estimates, told = np.zeros((40, 20, 3)), np.zeros((40, 20, 3))
+        estimates, told, alone = np.zeros((3, 40, 40, 3))
         for run in range(40):
             rng = np.random.default_rng(run)
             state = filter_.init(source.feature, source.start, source.start_covariance, params)
-            for t, (frame, _) in enumerate(source.steps[:20]):
+            for t, (frame, _) in enumerate(source.steps[:40]):
                 state, trace = filter_.step(rng, state, frame, params)
                 weighted = trace.weighted
                 estimates[run, t], _ = mixture_moments(weighted.s, weighted.P, np.exp(weighted.log_w))
                 told[run, t] = luck_of_pose(weighted, estimates[run, t])
+                alone[run, t] = luck_of_pose(weighted._replace(lineage=np.arange(60)), estimates[run, t])
         truth = pose_error(estimates, estimates[0]).var(axis=0, ddof=1)
-        for t in (9, 19):
-            ratios = np.sqrt(np.nanmean(told[:, t], axis=0) / truth[t])
-            assert (np.abs(np.log(ratios)) < np.log(1.4)).all(), ratios
+        for t in (9, 19, 39):
+            ratios = np.sqrt(told[:, t].mean(axis=0) / truth[t])
+            assert (np.abs(np.log(ratios)) < np.log(1.25)).all(), ratios
+        assert (np.sqrt(alone[:, -1].mean(axis=0) / truth[-1]) < 0.8).all()
