@@ -54,6 +54,8 @@ class Measures(NamedTuple):
     """NEES of (x, y), 2 degrees of freedom; inf for a collapsed mixture."""
     nees_pose: float
     """NEES of (x, y, heading), 3 degrees of freedom; inf for a collapsed mixture."""
+    nees_components: Floats
+    """(3,) NEES of x, of y and of the heading alone, 1 degree of freedom each."""
     n_eff: float
     """(44), before resampling."""
     diversity: float
@@ -116,6 +118,7 @@ def measure(
         best_position_error_m=math.hypot(best_error[0], best_error[1]),
         nees_position=nees(error[:2], covariance[:2, :2]),
         nees_pose=nees(error, covariance),
+        nees_components=nees_of_components(error, covariance),
         n_eff=trace.n_eff,
         diversity=diversity(trace.resampled.lineage),
         common_ancestor_age=math.nan if age is None else float(age),
@@ -184,6 +187,19 @@ def nees(error: Floats, covariance: Floats) -> float:
     if (np.abs(along[flat]) > math.sqrt(rounding) * np.linalg.norm(e)).any():
         return math.inf
     return float(np.sum(along[~flat] ** 2 / values[~flat]))
+
+
+def nees_of_components(error: Floats, covariance: Floats) -> Floats:
+    """(d,) the NEES of each component of error (d,) alone, e_i^2 / C_ii, with the same zeros and infinities."""
+    return np.array([_nees_of_one(e, v) for e, v in zip(error.tolist(), np.diag(covariance).tolist(), strict=True)])
+
+
+def _nees_of_one(error: float, variance: float) -> float:
+    if not (math.isfinite(error) and math.isfinite(variance)):
+        return math.nan
+    if variance < 1e-200:
+        return math.inf if error else 0.0
+    return error * error / variance
 
 
 def nees_interval(dof: int, runs: int = 1, confidence: float = 0.95) -> tuple[float, float]:

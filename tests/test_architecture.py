@@ -16,7 +16,7 @@ HOMES = {
     "rerun": ["app/recording"],
     "rerun_bindings": ["app/recording"],
     "viser": ["app/panel"],
-    "matplotlib": ["app/compare/plots", "app/lessons/drawn"],
+    "matplotlib": ["app/plotting", "app/compare/plots", "app/study/consistency_plot", "app/lessons/drawn"],
 }
 UNKNOWN_TO_SLAM = {"time", "datetime", "pathlib", "io", "os", "rich", "tyro", "json", "socket", "requests"}
 """Clocks, files and screens."""

@@ -1,13 +1,7 @@
-"""Plots of several runs: a panel for each filter in its colour, a line for each run; PNG and SVG.
-
-Matplotlib draws them: plots want ticks, logarithms and letters that have a size, in pixels as well as in SVG, without a
-browser.  It is loaded here alone, and only where plots are wanted.
-"""
+"""Plots of several runs: a panel for each filter in its colour, a line for each run; PNG and SVG."""
 
 from __future__ import annotations
 
-import io
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,18 +11,13 @@ import numpy as np
 from app import colours
 from app.compare.numbers import Comparison
 from app.compare.runs import Run
+from app.plotting import BAND, ENDINGS, LETTERS, WIDTH, hexadecimal, readable, save
 from slam.metrics import nees_interval
 from slam.types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-WIDTH = 9.0
-"""[inches]"""
-
-DOTS = 130
-"""[1/inch] of the PNGs."""
 
 DASHES: tuple[Any, ...] = (
     "solid",
@@ -41,23 +30,6 @@ DASHES: tuple[Any, ...] = (
     (0, (12, 2, 2, 2)),
 )
 """Of the runs, beside their shades."""
-
-LETTERS: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#8a8f98",
-    "axes.labelcolor": "#33373d",
-    "text.color": "#33373d",
-    "xtick.color": "#33373d",
-    "ytick.color": "#33373d",
-    "grid.color": "#e3e6ea",
-    "svg.hashsalt": "dualslam",
-    "svg.fonttype": "none",
-}
-"""With letters as letters in SVG, and no random names: the same runs, the same file."""
 
 ALIKE = 5.0
 """Factor between the highest values of filters above which each has its own scale: runs are to be compared."""
@@ -112,28 +84,13 @@ def draw(found: Comparison, folder: Path) -> list[str]:
         figures = [(plot.name, figure) for plot in PLOTS if (figure := over_steps(plot, found)) is not None]
         figures.append(("paths", _paths(found)))
         for name, figure in figures:
-            for ending in ("png", "svg"):
-                _save(figure, folder / f"{name}.{ending}")
-                figure.set_layout_engine("none")  # it is laid out; again would take as long
+            save(figure, folder, name)
     return [name for name, _ in figures]
 
 
 def names() -> list[str]:
     """All files that `draw` may write."""
-    return [f"{name}.{ending}" for name in (*(p.name for p in PLOTS), "paths") for ending in ("png", "svg")]
-
-
-def _save(figure: Figure, path: Path) -> None:
-    """Complete or not at all; without a date, so that the same runs give the same file."""
-    drawn = io.BytesIO()
-    metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-    figure.savefig(drawn, format=path.suffix[1:], dpi=DOTS, metadata=metadata)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_bytes(drawn.getvalue())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    return [f"{name}.{ending}" for name in (*(p.name for p in PLOTS), "paths") for ending in ENDINGS]
 
 
 def over_steps(plot: Plot, found: Comparison) -> Figure | None:
@@ -150,7 +107,7 @@ def over_steps(plot: Plot, found: Comparison) -> Figure | None:
     panels = figure.subplots(len(drawn), 1, sharex=True, sharey=shared, squeeze=False)[:, 0]
     for axes, (one, values) in zip(panels, drawn, strict=True):
         title = one.title if shared else f"{one.title} (a scale of its own)"
-        axes.set_title(title, loc="left", color=_colour(_readable(one.key)))
+        axes.set_title(title, loc="left", color=hexadecimal(readable(one.key)))
         axes.grid(visible=True)
         axes.set_axisbelow(True)
         if plot.name == "nees":
@@ -196,7 +153,7 @@ def _paths(found: Comparison) -> Figure:
         for points in place.true_landmarks:
             axes.plot(*points.T, "+", color="#9aa1a9", markersize=6, zorder=1.5)
         for line in place.truth:
-            axes.plot(*line.T, color=_colour(colours.TRUTH), linewidth=2.8, alpha=0.45, zorder=1.8)
+            axes.plot(*line.T, color=hexadecimal(colours.TRUTH), linewidth=2.8, alpha=0.45, zorder=1.8)
     for one in found.filters:
         for column in one.columns:
             rank = found.runs.index(column.run)
@@ -204,8 +161,10 @@ def _paths(found: Comparison) -> Figure:
                 axes.plot(*line.T, **_style(one.key, rank))
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    truth = [Line2D([], [], color=_colour(colours.TRUTH), linewidth=2.8, alpha=0.45, label="truth")]
-    filters = [Line2D([], [], color=_colour(_readable(one.key)), linewidth=4, label=one.title) for one in found.filters]
+    truth = [Line2D([], [], color=hexadecimal(colours.TRUTH), linewidth=2.8, alpha=0.45, label="truth")]
+    filters = [
+        Line2D([], [], color=hexadecimal(readable(one.key)), linewidth=4, label=one.title) for one in found.filters
+    ]
     _legend(figure, "upper", list(_keys(found.runs)))
     _legend(figure, "lower", [*filters, *(truth if any(place.truth for place in places) else [])])
     return figure
@@ -223,14 +182,14 @@ def _different(places: Sequence[Any]) -> Iterator[Any]:
 
 def _band(axes: Axes) -> None:
     low, high = nees_interval(2)
-    axes.axhspan(max(low, LOG_FLOOR), high, color="#dfe3e8", zorder=0.5, linewidth=0)
+    axes.axhspan(max(low, LOG_FLOOR), high, color=BAND, zorder=0.5, linewidth=0)
 
 
 def _key_of_band() -> Any:
     from matplotlib.patches import Patch
 
     low, high = nees_interval(2)
-    return Patch(color="#dfe3e8", label=f"95 % of a consistent filter: {low:.2f} to {high:.2f}")
+    return Patch(color=BAND, label=f"95 % of a consistent filter: {low:.2f} to {high:.2f}")
 
 
 def _keys(runs: Sequence[Run]) -> Iterator[Any]:
@@ -238,7 +197,7 @@ def _keys(runs: Sequence[Run]) -> Iterator[Any]:
     from matplotlib.lines import Line2D
 
     for rank, run in enumerate(runs):
-        tone = _colour(colours.of_run((128, 128, 128), rank, on_dark=False))
+        tone = hexadecimal(colours.of_run((128, 128, 128), rank, on_dark=False))
         yield Line2D([], [], color=tone, linestyle=DASHES[rank], linewidth=1.6, label=run.name)
 
 
@@ -250,13 +209,4 @@ def _legend(figure: Figure, edge: str, keys: Sequence[Any]) -> None:
 
 def _style(key: str, rank: int) -> dict[str, Any]:
     rgb = colours.of_run(colours.of_filter(key), rank, on_dark=False)
-    return {"color": _colour(rgb), "linestyle": DASHES[rank], "linewidth": 1.1, "zorder": 3.0 - 0.01 * rank}
-
-
-def _readable(key: str) -> colours.RGB:
-    """The colour of a filter, dark enough for letters on paper."""
-    return colours.mix(colours.of_filter(key), (0, 0, 0), 0.25)
-
-
-def _colour(rgb: colours.RGB) -> str:
-    return "#" + "".join(f"{part:02x}" for part in rgb)
+    return {"color": hexadecimal(rgb), "linestyle": DASHES[rank], "linewidth": 1.1, "zorder": 3.0 - 0.01 * rank}

@@ -1,115 +1,86 @@
-"""What would have helped: how many particles, by the numbers; or another thing, where more of them are in vain."""
+"""What would have helped: more particles, or another thing where more of them are in vain."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from app.diagnosis.ancestry import ENOUGH, LUCK, Losses, great_losses, losses, particles_for, since_resampling
+from app.diagnosis import particles
+from app.diagnosis.ancestry import great_losses, since_resampling
 from app.diagnosis.causes import WIDE
-from app.diagnosis.findings import Case, Finding, are, several
+from app.diagnosis.findings import Case, Finding
+from app.recording.metrics import LONERS
+from slam.limits import PARAMS
 
-PRACTICAL = 10_000
-"""Particles: more are no advice."""
+STRONGER = 4.0
+"""Factor on R that is tried where weights are too sharp."""
 
-BOTTLENECK = 0.25
-"""r_t above which a step leaves less than four parents.  Then the sample is too poor to tell what more particles would
-do: the sum of K r_t still grows with K, and is a lower bound."""
+WIDER = 0.1
+"""Factor on what a gate leaves out, where it leaves out too much."""
 
-INHERITED = 2.0
-"""Factor between founders expected of the copies that were made and those that are left, from which on weights are told
-to depend on what is inherited."""
-
-WINDOW = 100
-"""[steps] over which diversity is also asked for, in runs at least twice as long."""
+WIDEST = 1e-9
+"""What a gate leaves out at the least."""
 
 
 def findings(case: Case, found: list[Finding]) -> list[Finding]:
     """Advice on what was found of the filter."""
+    if any(finding.topic == "mistake" for finding in found):
+        text = "Repair that first: all else that is told here is of a filter with a mistake in it."
+        return [Finding("advice", "repair", text, warns=True)]
     kinds = {finding.kind for finding in found}
-    advice = []
-    if "related" not in case.record.missing and len(case.record.steps) and case.record["particles"][0] > 1:
-        advice.append(_particles(case, "overconfident" in kinds))
+    advice = particles.findings(case, kinds)
     advice += _settings(case, kinds)
     advice += _sensor(case, found)
     return advice
 
 
-def _particles(case: Case, overconfident: bool) -> Finding:
-    record, found = case.record, losses(case.record)
-    left, K = found.founders[-1], record["particles"][-1]
-    wanted = math.ceil(LUCK * particles_for(ENOUGH, found.per_particle)) if found.per_particle > 0.0 else ENOUGH
-    numbers = {"founders_left": float(left), "level": float(ENOUGH), "particles": float(wanted)}
-    if left >= ENOUGH:
-        text = f"{left:g} founders are left, and {ENOUGH} are enough to tell a spread from"
-        if overconfident:
-            text += ": more particles will not help, since it is not for want of hypotheses that it is overconfident"
-            return Finding("advice", "not for want of particles", f"{text}.", (), numbers, warns=True)
-        return Finding("advice", "enough particles", f"{text}: no more particles are needed.", (), numbers)
-    in_bottlenecks = record["related"][record["related"] > BOTTLENECK].sum() > 0.5 * found.tau
-    if in_bottlenecks or wanted > PRACTICAL:
-        return _in_vain(case, found, wanted, numbers)
-    rounded = math.ceil(wanted / 10.0) * 10
-    text = f"With {rounded} particles {LUCK * ENOUGH:.0f} founders are expected to be left, and {ENOUGH} nearly always"
-    kind = "more particles"
-    if found.expected() > INHERITED * left:
-        kind = "more particles at least"
-        rounded = max(rounded, math.ceil(LUCK * ENOUGH * K / left / 10.0) * 10)
-        text = f"More particles help less than in proportion: {left:g} {are(left)} left where {found.expected():.2g}"
-        text += " are expected of as many copies, so that weights depend on what particles have inherited."
-        text += f" {rounded} or more are needed for {ENOUGH} founders"
-    elif rounded <= K:
-        text = f"{several(left, 'founder')} {are(left)} left by bad luck: with {K:g} particles"
-        text += f" {found.expected():.2g} were to be expected"
-    numbers["particles"] = float(rounded)
-    if len(record.steps) >= 2 * WINDOW:
-        window = math.ceil(LUCK * particles_for(ENOUGH, _worst_window(case)) / 10.0) * 10
-        text += f"; over any {WINDOW} steps {window} keep as many"
-        numbers["particles_for_window"] = float(window)
-    tries = (f"--from {record.steps[0]} --set particles={rounded}",) if rounded > K else ()
-    return Finding("advice", kind, f"{text}.", (), numbers, tries=tries)
-
-
-def _in_vain(case: Case, found: Losses, wanted: int, numbers: dict[str, float]) -> Finding:
-    worst = case.record["related"].max()
-    text = f"More particles will not help: steps leave as little as {1.0 / worst:.2g} parents, however many there are,"
-    text += f" and even by these numbers more than {wanted:.2g} would be needed for {ENOUGH} founders"
-    return Finding("advice", "more particles in vain", f"{text}.", (), numbers, warns=True)
-
-
-def _worst_window(case: Case) -> float:
-    """The largest sum of K r_t over `WINDOW` steps."""
-    sums = np.convolve(case.record["particles"] * np.nan_to_num(case.record["related"]), np.ones(WINDOW), "valid")
-    return max(float(sums.max()), 1e-9)
-
-
 def _settings(case: Case, kinds: set[str]) -> list[Finding]:
     """What the cause of the losses calls for."""
-    params, advice = case.params, []
-    start = _before_losses(case)
-    inflated = f"inflate_r={4.0 * float(params.get('inflate_r', 1.0)):g}"
+    advice, larger = [], (f"--from {_before_losses(case)} --set inflate_r={_inflated(case, STRONGER)}",)
     if "shape of the map" in kinds:
-        text = "Weigh with a larger R than features are drawn with, so that the shape of the map counts less"
-        tries = [f"--from {start} --set {inflated}"]
-        if case.key == "dfs" and params.get("weighting") == "joint":
+        text = "Weigh with a larger R than features are drawn with, so that the shape of the map counts less."
+        tries = larger
+        if case.key == "dfs" and case.params.get("weighting") == "joint":
             text = f"Weigh each observation at the predicted pose (marginal): shape hardly counts there. Or w{text[1:]}"
-            tries.insert(0, f"--from {start} --set weighting=marginal")
-        advice.append(Finding("advice", "larger R", f"{text}.", (), {}, tries=tuple(tries)))
+            tries = (f"--from {_before_losses(case)} --set weighting=marginal", *larger)
+        advice.append(Finding("advice", "larger R", text, (), {}, tries=tries))
     if "proposal wider than the sensor" in kinds or (case.key == "fs1" and "ignored" in kinds):
+        kind, text, tries = "larger R", "", larger
         text = f"Poses or maps are spread more than {WIDE:g} times wider than the sensor: weigh with a larger R."
-        kind, tries = "larger R", (f"--from {start} --set {inflated}",)
         if case.key == "fs1":
             text = "FastSLAM 1.0 draws its poses before it looks: use FastSLAM 2.0 or Dual FastSLAM, which look first."
-            kind = "better proposal"
+            kind, tries = "better proposal", ()
         advice.append(Finding("advice", kind, text, (), {}, tries=tries))
     if "what was not matched" in kinds or "ignored" in kinds:
-        text = "Particles match different things: try another association, or a wider gate"
-        other = "nearest" if params.get("association") == "jcbb" else "jcbb"
-        gate = 1.0 - 0.1 * (1.0 - float(params.get("gate", 0.99)))
-        tries = (f"--from {start} --set association={other}", f"--from {start} --set gate={gate:g}")
-        advice.append(Finding("advice", "other association", f"{text}.", (), {}, tries=tries))
+        advice += _association(case)
+    if case.key in LONERS and "overconfident" in kinds:
+        text = (
+            "A single Gaussian has one linearisation, and what that makes it believe wrongly stays: a larger R gives it"
+        )
+        text += " room; a particle filter has several."
+        advice.append(Finding("advice", "larger R", text, (), {}, tries=larger))
     return advice
+
+
+def _inflated(case: Case, factor: float) -> str:
+    return f"{min(factor * float(case.params.get('inflate_r', 1.0)), PARAMS['inflate_r'].high):.3g}"
+
+
+def _association(case: Case) -> list[Finding]:
+    """Where what was not matched is the trouble.  Known tags leave nothing to choose but how far they are believed."""
+    association, tries, start = case.params.get("association", "jcbb"), [], _before_losses(case)
+    gate = "gate_known" if association == "known" else "gate"
+    outside = 1.0 - float(case.params.get(gate, 0.99))
+    if association != "known":
+        tries.append(f"--from {start} --set association={'jcbb' if association == 'nearest' else 'nearest'}")
+    if outside * WIDER >= WIDEST:
+        tries.append(f"--from {start} --set {gate}={1.0 - WIDER * outside:.12g}")
+    if not tries:
+        return []
+    text = "Tags are not believed beyond their gate: try a wider one."
+    if association != "known":
+        text = "Much of what is seen is matched by some particles only, or by none: try another association, or a wider"
+        text += " gate; if neither helps, it is the poses that are wrong."
+    return [Finding("advice", "other association", text, (), {}, tries=tuple(tries))]
 
 
 def _before_losses(case: Case) -> int:
@@ -120,14 +91,17 @@ def _before_losses(case: Case) -> int:
 
 
 def _sensor(case: Case, found: list[Finding]) -> list[Finding]:
-    """What innovations say of the noise that is believed."""
+    """What innovations say of the noise that is believed; of particles that have died out they say that instead."""
     off = [finding.numbers["ratio"] for finding in found if finding.kind.endswith(" off")]
-    if not off:
+    few = case.key not in LONERS and case.record["particles"][-1] == 1.0
+    if not off or few or any(finding.kind == "depleted" for finding in found):
         return []
-    ratio = max(off)
-    factor = float(case.params.get("inflate_r", 1.0)) * ratio
+    ratio, inflated = max(off), _inflated(case, max(off))
     text = (
-        f"Innovations ask for {math.sqrt(ratio):.2g} times more noise than is believed, of the motion or of the sensor"
+        f"Innovations ask for deviations {math.sqrt(ratio):.2g} times larger than is believed, of the motion or of the"
     )
-    tries = (f"--from {case.record.steps[0]} --set inflate_r={factor:.2g}",)
-    return [Finding("advice", "larger noise", f"{text}.", (), {"factor": math.sqrt(ratio)}, tries=tries)]
+    text += f" sensor; they do not tell which. Try a larger R, {ratio:.2g} times the covariance (inflate_r"
+    text += f" {float(case.params.get('inflate_r', 1.0)):g} to {inflated}); or believe in more motion noise"
+    text += " (believed.speed and believed.turn, or believed.odometry)."
+    tries = (f"--from {case.record.steps[0]} --set inflate_r={inflated}",)
+    return [Finding("advice", "larger noise", text, (), {"factor": math.sqrt(ratio)}, tries=tries)]

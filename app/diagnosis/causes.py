@@ -8,17 +8,21 @@ import numpy as np
 
 from app.diagnosis.ancestry import great_losses, losses, since_resampling
 from app.diagnosis.evidence import Observations, Record
-from app.diagnosis.findings import Case, Finding, percent
+from app.diagnosis.findings import Case, Finding, amount, percent
 from slam.types import Bools, Floats, Ints
 
 MOST = 0.5
 """Share of the variance from which on something is called the cause."""
 
 FIXES_A_POSE = 2
-"""Observations that fix it: two numbers each, against three unknowns.  What more there are say something of the map."""
+"""Observations that fix it at the least: two numbers each, against three unknowns.  What more there are say something
+of the map, if they are expected as sharply as that."""
 
 SHARP = 2.0
 """Expected deviation over that of the sensor below which the pose has no part in an observation any more."""
+
+WORTH_TELLING = 1.5
+"""The same, from which on it is told."""
 
 WIDE = 3.0
 """Spread between particles over what each expects, from which on most are where the likelihood is not."""
@@ -42,24 +46,26 @@ class Causes(NamedTuple):
     shape: float
     """Of observations that say something of the map's shape only (`of_the_shape`)."""
     features: dict[int, float]
-    """By index in the best map: the share of each, the largest first."""
+    """By index in the best map of the step that weighed most (`decisive`): the share of each, the largest first."""
+    decisive: int
+    """Index of the step whose weights varied most."""
     wide: tuple[float, float]
     """The widest proposal, over the sensor, of these steps: first and second components."""
     inside: float
     """Share of the particles that the likelihood reaches, in the worst of these steps."""
 
 
-def of_the_shape(seen: Observations) -> Bools:
+def of_the_shape(seen: Observations, in_turn: float) -> Bools:
     """(Z,) which of the observations are over-determined.
 
-    Where each is weighed at the pose that those before have corrected (the exact, joint likelihood), the first ones
-    are as uncertain as the pose was, and two fix it; what the third and all later ones expect is as sharp as the
-    sensor, and particles differ in them only by the shape of their maps.  Where all are weighed at the predicted pose,
-    or where there is no pose uncertainty at all, there are none.
+    Where each is weighed at the pose that those before have corrected (`in_turn`: the exact, joint likelihood), the
+    first ones are as uncertain as the pose was, and fix it; what later ones expect is as sharp as the sensor, and
+    particles differ in them only by the shape of their maps.  Where all are weighed at the predicted pose, or where
+    there is no pose uncertainty at all, there are none.
     """
     matched = np.flatnonzero(np.isfinite(seen.widths))
     found = np.zeros(len(seen.widths), bool)
-    if len(matched) > FIXES_A_POSE:
+    if len(matched) > FIXES_A_POSE and in_turn != 0.0:
         widths = seen.widths[matched]
         later = np.arange(len(matched)) >= FIXES_A_POSE
         found[matched] = later & (widths < SHARP) & (widths.max() >= SHARP * widths)
@@ -69,18 +75,19 @@ def of_the_shape(seen: Observations) -> Bools:
 def causes(record: Record, steps: slice | Ints) -> Causes:
     """What the weights of these steps (indices) differ by."""
     variances = np.nan_to_num(record["deviation"][steps]) ** 2
+    indices = np.arange(len(record.steps))[steps]
     total = float(variances.sum())
 
     def share(parts: Floats) -> float:
         return float(variances @ np.nan_to_num(parts)) / total if total > 0.0 else 0.0
 
-    seen = [record.observations[i] for i in np.arange(len(record.steps))[steps]] if record.observations else []
+    decisive = int(indices[np.argmax(variances)])
     features: dict[int, float] = {}
-    shape = 0.0
-    for variance, one in zip(variances, seen, strict=False):
-        shares = np.nan_to_num(one.shares) * variance / total if total > 0.0 else np.zeros(len(one.shares))
-        shape += float(shares[of_the_shape(one)].sum())
-        for feature, part in zip(one.features.tolist(), shares.tolist(), strict=True):
+    shape = np.zeros(len(indices))
+    if record.observations:
+        shape[:] = [_by_shape(record.observations[i], float(record["in_turn"][i])) for i in indices]
+        seen = record.observations[decisive]
+        for feature, part in zip(seen.features.tolist(), np.nan_to_num(seen.shares).tolist(), strict=True):
             features[feature] = features.get(feature, 0.0) + part
     return Causes(
         total,
@@ -88,11 +95,17 @@ def causes(record: Record, steps: slice | Ints) -> Causes:
         share(record["second"][steps]),
         share(record["unmatched"][steps]),
         share(record["drawn"][steps]),
-        shape,
+        share(shape),
         dict(sorted(features.items(), key=lambda item: -item[1])),
+        decisive,
         (_largest(record["wide_first"][steps]), _largest(record["wide_second"][steps])),
         float(np.nanmin(record["inside"][steps])) if np.isfinite(record["inside"][steps]).any() else np.nan,
     )
+
+
+def _by_shape(seen: Observations, in_turn: float) -> float:
+    """The share of a step that is over-determined."""
+    return float(np.nan_to_num(seen.shares)[of_the_shape(seen, in_turn)].sum())
 
 
 def _largest(values: Floats) -> float:
@@ -110,11 +123,13 @@ def findings(case: Case) -> list[Finding]:
     if "deviation" in record.missing or not np.nan_to_num(record["deviation"]).any():
         return []
     greatest = great_losses(record)
-    decisive = np.unique(np.concatenate([np.arange(len(record.steps))[since_resampling(record, i)] for i in greatest]))
-    whole = causes(record, decisive.astype(np.int64)) if len(greatest) else causes(record, slice(None))
+    leading = np.zeros(len(record.steps), bool)
+    for i in greatest:
+        leading[since_resampling(record, int(i))] = True
+    whole = causes(record, np.flatnonzero(leading) if len(greatest) else slice(None))
     when = "the losses" if len(greatest) else "all steps"
     found = [_of_all(case, whole, when, tuple(int(record.steps[i]) for i in greatest[:TOLD]))]
-    found += [_of_one(case, int(i)) for i in greatest[:TOLD]]
+    found += [_of_one(case, int(i)) for i in sorted(greatest[:TOLD])]
     ignored = _ignored(record)
     if ignored > DISAGREE:
         text = (
@@ -147,21 +162,20 @@ def _of_all(case: Case, found: Causes, when: str, steps: tuple[int, ...]) -> Fin
     if not steps:
         text = f"No step lost many founders. {text}"
     if kind == "shape of the map":
-        text += (
-            f" {percent(found.shape)} is due to the over-determined shape of the map: two observations fix the pose,"
-        )
-        text += " and in the third and all later ones of a step particles differ only by how what they have mapped lies"
-        text += " to each other."
+        text += f" {percent(found.shape)} is due to the over-determined shape of the map: the first observations of a"
+        text += " step fix the pose, and in those after them particles differ only by how what they have mapped lies to"
+        text += " each other."
     elif kind == "what was not matched":
         text += " Particles disagree on what is known and what is new."
     elif kind == "proposal wider than the sensor":
-        text += (
-            f" The poses are spread {max(found.wide):.3g} times wider than the sensor tells them apart: in the worst"
-        )
-        text += f" step {percent(found.inside)} of them are where the likelihood is."
-    numbers = {"variance": found.variance, "first": found.first, "second": found.second, "unmatched": found.unmatched}
-    numbers |= {"drawn": found.drawn, "shape": found.shape, "wide": max(found.wide), "inside": found.inside}
-    return Finding("cause", kind, text, steps, numbers, warns=bool(steps))
+        text += f" The poses are spread {amount(max(found.wide))} times wider than the sensor tells them apart: in the"
+        text += f" worst step {percent(found.inside)} of them are where the likelihood is."
+    return Finding("cause", kind, text, steps, _numbers(found), warns=bool(steps) and kind != "observations")
+
+
+def _numbers(found: Causes) -> dict[str, float]:
+    told = {"variance": found.variance, "first": found.first, "second": found.second, "unmatched": found.unmatched}
+    return told | {"drawn": found.drawn, "shape": found.shape, "wide": max(found.wide), "inside": found.inside}
 
 
 def _parts(case: Case, found: Causes) -> str:
@@ -169,7 +183,7 @@ def _parts(case: Case, found: Causes) -> str:
     parts = {first: found.first, second: found.second, "what was not matched": found.unmatched, "the draw": found.drawn}
     ordered = sorted(parts.items(), key=lambda item: -item[1])
     told = [f"{percent(share)} is by {what}" for what, share in ordered if share >= 0.005]
-    told += [f"{what} speaks against it ({percent(share)})" for what, share in ordered if share <= -0.1]
+    told += [f"{percent(share)} by {what}, against the others" for what, share in ordered if share <= -0.005]
     return ", ".join(told) or "nothing stands out"
 
 
@@ -179,19 +193,23 @@ def _of_one(case: Case, index: int) -> Finding:
     found = causes(record, steps)
     before = founders[index - 1] if index else record["particles"][0]
     K, step = record["particles"][index], int(record.steps[index])
-    text = f"Step {step}: founders {before:g} to {founders[index]:g}, N_eff {record['n_eff'][index]:.3g} of {K:g}"
-    features = [(f, share) for f, share in found.features.items() if f >= 0 and share >= 0.1][:TOLD]
-    if features:
-        named = ", ".join(f"feature {f} {percent(share)}" for f, share in features)
-        text += f"; of the variance since the resampling before, {named} (of the best map)"
-    text += f"; {_parts(case, found)}"
+    first = int(record.steps[steps.start])
+    text = f"Step {step}: founders {before:g} to {founders[index]:g}, N_eff {record['n_eff'][index]:.3g} of {K:g}; of"
+    text += f" the variance of the log weights since step {first}, {_parts(case, found)}"
+    features = {f: share for f, share in found.features.items() if f >= 0}
+    great = [(f, share) for f, share in features.items() if share >= 0.1][:TOLD]
+    if great:
+        named = ", ".join(f"feature {f} {percent(share)}" for f, share in great)
+        against = sum(share for share in found.features.values() if share < 0.0)
+        named += f", others {percent(against)}, against them" if against <= -0.005 else ""
+        text += f"; of that at step {record.steps[found.decisive]}, {named} (of the best map)"
     kind = kind_of(found)
     if kind == "shape of the map":
         text += f"; {percent(found.shape)} by the shape of the map"
-    if max(found.wide) >= 1.0:
-        text += f"; the proposal is {max(found.wide):.2g} times as wide as the sensor"
+    if max(found.wide) >= WORTH_TELLING:
+        text += f"; the proposal is {amount(max(found.wide))} times as wide as the sensor"
         text += f", and the likelihood reaches {percent(found.inside)} of the particles"
-    first = int(record.steps[steps.start])
     numbers = {"founders_before": float(before), "founders_after": float(founders[index]), "since_step": float(first)}
-    numbers |= {"shape": found.shape, "variance": found.variance}
+    numbers |= {"n_eff": float(record["n_eff"][index]), "particles": float(K), **_numbers(found)}
+    numbers |= {f"feature_{f}": share for f, share in features.items()}
     return Finding("cause", f"loss: {kind}", text + ".", (step,), numbers)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,43 +16,49 @@ from slam.features import Wall
 from slam.types import Params
 
 
+class Row(NamedTuple):
+    """A step of one filter."""
+
+    step: int
+    evidence: Evidence
+    params: Params
+    """That it was made with."""
+
+
 class Collector:
     """An `Observer` that keeps what a diagnosis is made of: some 0.5 kB for each step and filter."""
 
     def __init__(self) -> None:
-        self._rows: dict[str, list[tuple[int, Evidence]]] = {}
-        self._params = Params()
-        self._walls = False
+        self._rows: dict[str, list[Row]] = {}
+        self._walls = self._log = False
 
     def begin(self, info: SessionInfo) -> None:
         """A session begins."""
-        self.start(info.params, isinstance(info.source.feature, Wall))
+        self.start(info)
 
-    def start(self, params: Params, walls: bool, before: Collector | None = None, until: int = 0) -> None:
+    def start(self, info: SessionInfo, before: Collector | None = None, until: int = 0) -> None:
         """The same, of a branch of what another one has collected, up to a step."""
-        self._params, self._walls = params, walls
+        self._walls, self._log = isinstance(info.source.feature, Wall), info.source.kind == "log"
         rows = {} if before is None else before._rows
-        self._rows = {key: [row for row in found if row[0] <= until] for key, found in rows.items()}
+        self._rows = {key: [row for row in found if row.step <= until] for key, found in rows.items()}
 
     def step(self, step: SessionStep) -> None:
         """A step, or once more one that is there."""
-        self._params = step.params
         for key, update in step.filters.items():
             rows = self._rows.setdefault(key, [])
-            if not rows or rows[-1][0] < step.index:
-                rows.append((step.index, update.evidence))
+            if not rows or rows[-1].step < step.index:
+                rows.append(Row(step.index, update.evidence, step.params))
 
     def end(self) -> None:
         """Nothing to do."""
 
-    def cases(self, until: int | None = None) -> list[Case]:
-        """The filters that have made a step, in the usual order, up to a step."""
-        return [self._case(key, until) for key in ESTIMATORS if self._rows.get(key)]
+    def cases(self, until: float = math.inf) -> list[Case]:
+        """The filters that have made a step, in the usual order, up to a step; parameters are those of their last."""
+        found = {key: [row for row in self._rows.get(key, ()) if row.step <= until] for key in ESTIMATORS}
+        return [self._case(key, rows) for key, rows in found.items() if rows]
 
-    def _case(self, key: str, until: int | None) -> Case:
-        rows = [row for row in self._rows[key] if until is None or row[0] <= until] or self._rows[key][:1]
-        steps = np.array([index for index, _ in rows])
-        numbers = np.array([evidence.row for _, evidence in rows], float)
-        seen = [evidence.observations for _, evidence in rows]
-        record = record_of(steps, NAMES, numbers, seen)
-        return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(self._params), record)
+    def _case(self, key: str, rows: list[Row]) -> Case:
+        steps = np.array([row.step for row in rows])
+        numbers = np.array([row.evidence.row for row in rows], float)
+        record = record_of(steps, NAMES, numbers, [row.evidence.observations for row in rows])
+        return Case(key, ESTIMATORS[key].title, self._walls, dataclasses.asdict(rows[-1].params), record, self._log)

@@ -50,8 +50,8 @@ class Diagnose:
             check_file("--json", self.json)
         path, branch = split_branch(self.recording)
         read = read_cases(path, branch)
-        if read.warning:
-            Console(stderr=True, highlight=False).print(f"warning: {read.warning}", style="yellow", soft_wrap=True)
+        for warning in read.warnings:
+            Console(stderr=True, highlight=False).print(f"warning: {warning}", style="yellow", soft_wrap=True)
         found = [diagnose(case) for case in read.cases]
         if self.json is not None:  # before anything is printed: | head ends a program that prints
             told = {"schema": SCHEMA, "file": self.recording, "command": command, "world": read.world}

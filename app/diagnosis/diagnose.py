@@ -18,7 +18,7 @@ NEEDED = {
 def diagnose(case: Case) -> Diagnosis:
     """All that can be told of a filter.  What is not known is said, and nothing is guessed in its place."""
     found = _mistakes(case)
-    if case.record["particles"][0] > 1 or "particles" in case.record.missing:
+    if (case.record["particles"] > 1).any():
         found += [*ancestry.findings(case), *causes.findings(case)]
     found += [*consistency.findings(case), *_association(case)]
     found += advice.findings(case, found)
@@ -42,13 +42,14 @@ def _association(case: Case) -> list[Finding]:
     record = case.record
     right, wrong, missed = (_sum(record[name]) for name in ("correct", "wrong", "missed"))
     if right + wrong + missed == 0.0:
-        return []
+        return []  # nobody knows, or nothing was seen twice
     bad = record.steps[(record["wrong"] + record["missed"]) > 0.0]
     duplicates = record["duplicates"][-1]
     text = f"Of {right + wrong + missed:g} things seen that its best map knows {right:g} were paired rightly, {wrong:g}"
     text += f" with something else, and {missed:g} not at all"
     if duplicates > 0.0:
-        text += f"; {several(duplicates, 'feature')} of its best map at the end show what another one shows already"
+        show = "shows" if duplicates == 1.0 else "show"
+        text += f"; {several(duplicates, 'feature')} of its best map at the end {show} what another one shows already"
     numbers = {"correct": right, "wrong": wrong, "missed": missed, "duplicates": float(duplicates)}
     kind = "association" if not len(bad) else "association lost"
     return [Finding("association", kind, f"{text}.", tuple(bad[:5].tolist()), numbers, warns=bool(len(bad)))]
@@ -69,4 +70,7 @@ def _missing(case: Case) -> list[Finding]:
     if (record["nees_position"] != record["nees_position"]).all():
         text = "Nobody knows where the robot was: whether the filter was consistent is told by its innovations alone."
         found.append(Finding("missing", "truth", text))
+    if _sum(record["matched"]) > 0.0 and not sum(_sum(record[name]) for name in ("correct", "wrong", "missed")):
+        text = "Nobody knows what it was that was seen: whether it was paired rightly is not told."
+        found.append(Finding("missing", "tags", text))
     return found

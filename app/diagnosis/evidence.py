@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from app.diagnosis.marks import Marks, marks_of
+from slam.ancestry_variance import luck_of_pose
+from slam.checks import uncertain
 from slam.metrics import Measures
 from slam.phases import noise_of_known, observation_noise
-from slam.types import Floats, Frame, Ints, Params, Trace
+from slam.types import Bools, Floats, Frame, Ints, Params, Trace
 from slam.weights import innovation_statistics, innovation_widths, mixtures, parents, weight_variance, weights_before
 
 
@@ -84,6 +86,18 @@ class Numbers(NamedTuple):
     """Observations that the best particle paired rightly; and wrongly, and not at all although it knows them."""
     wrong: float
     missed: float
+    in_turn: float
+    """Whether each observation is weighed at the pose that those before it have corrected, and not all at the predicted
+    one; 1 or 0."""
+    nees_x: float
+    """NEES of x, of y and of the heading alone, one degree of freedom each."""
+    nees_y: float
+    nees_heading: float
+    monte_carlo_m: float
+    """[m] deviation of the estimate itself by the luck of the particles (`slam.ancestry_variance`), root of the mean of
+    x and y; NaN where too few founders are left to tell."""
+    monte_carlo_rad: float
+    """[rad] of its heading."""
 
 
 class Observations(NamedTuple):
@@ -131,6 +145,22 @@ class Record:
     def __getitem__(self, name: str) -> Floats:
         return self.numbers[name]
 
+    def part(self, chosen: Ints | Bools | slice) -> Record:
+        """Some of its steps."""
+        numbers = {name: values[chosen] for name, values in self.numbers.items()}
+        indices = np.arange(len(self.steps))[chosen]
+        seen = [self.observations[i] for i in indices] if self.observations else []
+        return Record(self.steps[chosen], numbers, seen, self.missing)
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """Of one filter, one after the other; what one of them does not know is missing."""
+    numbers = {name: np.concatenate([record[name] for record in records]) for name in NAMES}
+    complete = all(record.observations for record in records)
+    seen = [one for record in records for one in record.observations] if complete else []
+    missing = frozenset[str]().union(*(record.missing for record in records))
+    return Record(np.concatenate([record.steps for record in records]), numbers, seen, missing)
+
 
 def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: list[Observations]) -> Record:
     """From rows (T, n) of numbers that are called so; those that another version had besides are left out."""
@@ -140,6 +170,14 @@ def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: lis
     return Record(steps, numbers, observations, frozenset(NAMES) - frozenset(names))
 
 
+def weighed_in_turn(trace: Trace, params: Params) -> bool:
+    """`Numbers.in_turn`.  Poses that are drawn before anybody looks have no covariance to correct (FastSLAM 1.0); those
+    that are drawn after it have lost theirs by the end of the step (2.0); those that keep it weigh as asked (Dual)."""
+    if not uncertain(trace.weighted.P):
+        return False
+    return params.weighting == "joint" if uncertain(trace.resampled.P) else True
+
+
 def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) -> Evidence:
     """The numbers of one step."""
     weighted, best, spread = trace.weighted, measures.best, measures.covariance
@@ -147,6 +185,7 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
     why, innovations = weight_variance(trace, mixed), innovation_statistics(mixed)
     (n_eff_before, new), (survivors, related) = weights_before(trace), parents(trace.ancestors)
     own = np.exp(weighted.log_w) @ np.diagonal(weighted.P, axis1=1, axis2=2)
+    luck = luck_of_pose(weighted, measures.estimate)
     R = noise_of_known(frame, observation_noise(frame, params), params)
     return Evidence(
         Numbers(
@@ -187,6 +226,12 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             correct=float(measures.correct),
             wrong=float(measures.wrong),
             missed=float(measures.missed),
+            in_turn=float(weighed_in_turn(trace, params)),
+            nees_x=float(measures.nees_components[0]),
+            nees_y=float(measures.nees_components[1]),
+            nees_heading=float(measures.nees_components[2]),
+            monte_carlo_m=_root(0.5 * (luck[0] + luck[1])),
+            monte_carlo_rad=_root(luck[2]),
         ),
         Observations(why.observations, trace.n[best].copy(), innovation_widths(mixed, R.sensor + R.model)),
         marks_of(trace, frame, params),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
@@ -33,6 +34,8 @@ class Case(NamedTuple):
     params: Mapping[str, Any]
     """`slam.types.Params` by name: of a recording as the run began, of a session as they are."""
     record: Record
+    measured: bool = False
+    """Whether where the robot was is a measurement, as in a log, with errors of its own."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,18 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share > 1e-4 else "less than 0.01 %"
 
 
+def rounded(value: float, digits: int = 2) -> float:
+    """To so many digits, so that {:g} has no more."""
+    return float(f"{value:.{digits}g}")
+
+
+def amount(value: float, digits: int = 2) -> str:
+    """A number in words: 2200, 0.062, infinite."""
+    if math.isinf(value):
+        return "infinite"
+    return f"{rounded(value, digits):.10g}" if abs(value) < 1e6 else f"{value:.{digits}g}"
+
+
 def several(count: float, what: str) -> str:
     """`3 steps`, `1 step`."""
     return f"{count:g} {what}" if count == 1 else f"{count:g} {what}s"
@@ -78,3 +93,8 @@ def several(count: float, what: str) -> str:
 def are(count: float) -> str:
     """`is` of one, `are` of several."""
     return "is" if count == 1 else "are"
+
+
+def were(count: float) -> str:
+    """`was` of one, `were` of several."""
+    return "was" if count == 1 else "were"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,7 +32,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 def commands(finding: Finding, name: str) -> list[str]:
     """The commands that try what is advised, on the recording of this name."""
-    return [f"dualslam whatif {name} {options}" for options in finding.tries]
+    return [f"dualslam whatif {shlex.quote(name)} {options}" for options in finding.tries]
 
 
 def markdown(diagnoses: Sequence[Diagnosis]) -> str:

@@ -10,7 +10,6 @@ from app.diagnosis.diagnose import diagnose
 from app.diagnosis.words import markdown
 from app.live.engine import Begun, Forked, Stepped
 from app.pace import Pace
-from slam.features import Wall
 
 DUTY = 0.05
 """Share of the time that it may take while steps are made."""
@@ -50,8 +49,7 @@ class Diagnoses:
         """A branch has in common with its parent what was before it."""
         collector = Collector()
         with self._lock:
-            walls = isinstance(forked.info.source.feature, Wall)
-            collector.start(forked.settings.params, walls, self._branches.get(forked.parent), forked.at)
+            collector.start(forked.info, self._branches.get(forked.parent), forked.at)
             self._branches[forked.name] = collector
 
     def stepped(self, stepped: Stepped) -> None:
@@ -64,19 +62,21 @@ class Diagnoses:
         """Nothing to do."""
 
     def of(self, branch: str, until: int, now: bool = True) -> Told:
-        """What can be said of a branch up to a step.  While steps are made (not `now`) it may be some seconds old."""
+        """What can be said of a branch up to a step.  While steps are made (not `now`) it may be some seconds old, but
+        never of another branch, of a later step or of the session before."""
         with self._lock:
-            told = self._told
-            if (told.branch, told.step) == (branch, until) or not (now or self._pace.due):
+            told, collector = self._told, self._branches.get(branch)
+            recent = 0 <= told.step < until and not (now or self._pace.due)
+            if told.branch == branch and (told.step == until or recent):
                 return told
-            collector = self._branches.get(branch)
             cases = [] if collector is None else collector.cases(until)
         with self._pace.kept():
             found = [diagnose(case) for case in cases]
             steps = {step for one in found for finding in one.findings for step in finding.steps}
-            text = markdown(found) if found else NOTHING
-            if cases:
-                text = f"*Up to step {until}.*\n\n{text}"
+            text = f"*Up to step {until}.*\n\n{markdown(found)}" if found else NOTHING
+        told = Told(branch, until, text, tuple(sorted(steps)))
         with self._lock:
-            self._told = Told(branch, until, text, tuple(sorted(steps)))
-            return self._told
+            if self._branches.get(branch) is not collector:  # another session has begun
+                return Told(branch, -1, NOTHING, ())
+            self._told = told
+            return told

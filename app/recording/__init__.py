@@ -23,7 +23,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /world/<filter>/lineages        all paths that lead to a living particle, in the colours of the ancestry picture
     /world/<filter>/{focus,best}    frames of the close-ups: about the estimate, about the best particle
     /plots/<metric>/<filter>        a series for each measure of `metrics`
-    /plots/nees/{lower,upper}       95 % chi-square band; the same for nees_log10
+    /plots/nees/{lower,upper}       95 % chi-square band; the same for nees_log10, and of nees_{x,y,heading}_log10
     /plots/n_eff/threshold          where resampling begins
     /genealogy/<filter>             ancestry of the whole run: the tree that leads to the living, an even sample of
                                     them, and of those that died, dim; the colour is that of the founder

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from app import colours
 from app.recording.charts import CURVES, CURVES_WIDTH, HEIGHT
 from app.recording.ground import Extent
-from app.recording.metrics import BY_NAME, LOG_NEES_RANGE, Metric, populations
+from app.recording.metrics import BY_NAME, LOG_COMPONENT_RANGE, LOG_NEES_RANGE, Metric, populations
 from app.recording.scene import CLOSE_HEIGHT, nice
 from slam.types import Estimator, Floats
 
@@ -255,12 +255,20 @@ def _eye(centre: Floats | tuple[float, float], distance: float) -> rrb.EyeContro
 
 GROUPS = {
     "Consistency": ("n_eff", "diversity", "nees_log10"),
+    "NEES": ("nees_x_log10", "nees_y_log10", "nees_heading_log10"),
     "Weights": ("weight_deviation", "first_share", "inside", "proposal_width"),
     "Innovations": ("nis_first", "nis_second"),
     "Errors": ("position_error", "heading_error", "map_error"),
+    "Luck": ("position_error", "spread", "monte_carlo"),
     "Map and cost": ("features", "duplicates", "update_ms"),
 }
-AXES = {"nees_log10": LOG_NEES_RANGE, "diversity": (0.0, 1.02), "inside": (0.0, 1.02), "first_share": (-0.1, 1.1)}
+AXES = {
+    "nees_log10": LOG_NEES_RANGE,
+    **dict.fromkeys(("nees_x_log10", "nees_y_log10", "nees_heading_log10"), LOG_COMPONENT_RANGE),
+    "diversity": (0.0, 1.02),
+    "inside": (0.0, 1.02),
+    "first_share": (-0.1, 1.1),
+}
 
 
 def _plots(branches: Sequence[Shown], beside: Callable[..., rrb.Container] = rrb.Vertical) -> rrb.Container:

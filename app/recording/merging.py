@@ -30,8 +30,8 @@ APPLICATION = "dual-fastslam-comparison"
 
 PAGE = "comparison"
 
-BANDS = ("plots/nees/", "plots/nees_log10/")
-"""Where there are guides that are the same in all recordings; those of the first are enough."""
+BANDS = ("/lower", "/upper")
+"""Guides in plots that are the same in all recordings; those of the first are enough."""
 
 
 class Part(NamedTuple):
@@ -95,7 +95,7 @@ def _moved(recording: Recording, part: Part, prefix: str, first: bool) -> Iterat
         if entity.startswith("__properties") or (entity.startswith("branch/") and part.root == "/"):
             continue
         of_plots = entity.startswith("plots/")
-        band = entity.startswith(BANDS) and entity.endswith(("/lower", "/upper"))
+        band = of_plots and entity.endswith(BANDS)
         if not (of_plots and chunk.is_static) and (first or not band):
             yield chunk.with_entity_path(f"/{prefix}{entity}")
 
@@ -114,6 +114,6 @@ def _curves(run: Shown, rank: int, bands: bool) -> Iterator[tuple[str, object]]:
         for metric in METRICS:
             yield f"{run.prefix}plots/{metric.name}/{estimator.key}", look
     for path, name in GUIDES.items():
-        if bands or not f"plots/{path}".startswith(BANDS):
-            title = name if f"plots/{path}".startswith(BANDS) else run.named(name)
+        if bands or not path.endswith(BANDS):
+            title = name if path.endswith(BANDS) else run.named(name)
             yield f"{run.prefix}plots/{path}", rr.SeriesLines(names=title, colors=GUIDE, widths=1.0)

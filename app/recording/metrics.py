@@ -10,6 +10,7 @@ import numpy as np
 
 from app.types import FilterUpdate
 from scenarios.types import Source
+from slam.metrics import nees_interval
 from slam.types import UNKNOWN_TAG
 
 
@@ -24,33 +25,60 @@ class Metric(NamedTuple):
     """What somebody must know for it to have a value: "truth" (of the position), "heading", "map" or "tags"."""
     population: bool = False
     """Says something about many particles: not shown of a filter that has one."""
+    band: tuple[float, float] | None = None
+    """Between these it is, of a consistent filter, in 95 of 100 cases."""
 
 
 LONERS = frozenset({"ekf"})
 """Filters of one particle, whatever K is: of those there is no population to show."""
 
 LOG_NEES_RANGE = (-2.0, 6.0)
+LOG_COMPONENT_RANGE = (-3.5, 6.0)
+"""Of the position, and of one component, whose band reaches further down."""
 
 
-def log_nees(value: float) -> float:
+def log_nees(value: float, plotted: tuple[float, float] = LOG_NEES_RANGE) -> float:
     """The logarithm that is plotted: infinity (a collapsed mixture) and zero lie on the border of the plot."""
-    low, high = LOG_NEES_RANGE
+    low, high = plotted
     if math.isnan(value):
         return value
     return min(max(math.log10(value) if value > 0.0 else low, low), high)
 
 
+def _of_component(name: str, title: str, value: Callable[[FilterUpdate], float], needs: str) -> Metric:
+    """The NEES of one component of the pose."""
+    what = f"log₁₀ NEES of {title} (grey: 95 % band)"
+    return Metric(name, what, lambda u: log_nees(value(u), LOG_COMPONENT_RANGE), needs, band=_log_band(1))
+
+
+def _log_band(freedom: int) -> tuple[float, float]:
+    """Of the logarithm of a NEES with so many degrees of freedom."""
+    low, high = nees_interval(freedom)
+    return math.log10(low), math.log10(high)
+
+
 METRICS = (
     Metric("n_eff", "N_eff [particles] (grey: resampling below)", lambda u: u.measures.n_eff, population=True),
     Metric("diversity", "Diversity [share of founders left]", lambda u: u.measures.diversity, population=True),
-    Metric("nees", "NEES of the position", lambda u: u.measures.nees_position, needs="truth"),
+    Metric("nees", "NEES of the position", lambda u: u.measures.nees_position, needs="truth", band=nees_interval(2)),
     Metric(
         "nees_log10",
         "log₁₀ NEES of the position (grey: 95 % band; at the top: infinite)",
         lambda u: log_nees(u.measures.nees_position),
         needs="truth",
+        band=_log_band(2),
     ),
+    _of_component("nees_x_log10", "x", lambda u: u.evidence.numbers.nees_x, "truth"),
+    _of_component("nees_y_log10", "y", lambda u: u.evidence.numbers.nees_y, "truth"),
+    _of_component("nees_heading_log10", "the heading", lambda u: u.evidence.numbers.nees_heading, "heading"),
     Metric("position_error", "Position error [m]", lambda u: u.measures.position_error_m, needs="truth"),
+    Metric("spread", "Deviation of the position that the filter reports [m]", lambda u: u.evidence.numbers.spread_m),
+    Metric(
+        "monte_carlo",
+        "Deviation of the estimate by the luck of the particles [m] (while founders tell)",
+        lambda u: u.evidence.numbers.monte_carlo_m,
+        population=True,
+    ),
     Metric(
         "heading_error",
         "Heading error [degrees]",

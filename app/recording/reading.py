@@ -90,6 +90,14 @@ class Recording:
         """Of a live session, the names that its branches have in the recording, in alphabetical order."""
         return [entity.removeprefix(f"{SESSION}-") for entity in self.entities if entity.startswith(f"{SESSION}-")]
 
+    def way(self, branch: str) -> list[str]:
+        """The run itself (its name is empty), all branches that were left on the way to this one, and this one."""
+        way = [branch]
+        while way[0]:  # a recording of an earlier version does not say where a branch left: then it was the run itself
+            parent = self.params(way[0]).get("parent", "")
+            way.insert(0, "" if parent in way else parent)
+        return way
+
     def chunks(self, prefix: str = "/") -> list[Chunk]:
         """Rerun's own pieces of everything below a path that ends in a slash, in no particular order."""
         return [chunk for entity, found in self._chunks.items() if entity.startswith(prefix) for chunk in found]

@@ -21,7 +21,7 @@ from app.recording import arrow, charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
 from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of, is_charted, known, observer
 from app.recording.limits import due, limits_for, thinned
-from app.recording.metrics import METRICS, known_of, log_nees, populations
+from app.recording.metrics import METRICS, known_of, populations
 from app.recording.stream import BranchStream, OpenStream
 from app.relations import Breaks
 from app.session import estimators
@@ -29,7 +29,6 @@ from app.types import FilterUpdate, SessionInfo, SessionStep, best_descendant, b
 from slam.estimators import ESTIMATORS
 from slam.features import Wall
 from slam.geometry import ellipse_axes
-from slam.metrics import nees_interval
 from slam.types import Floats, Frame, Particles
 
 EPOCH = 1e7
@@ -38,14 +37,16 @@ EPOCH = 1e7
 SHARPEST = 1e-3
 """[m] smallest square of a close-up's grid: single precision shows no more of a map."""
 
-GUIDES = {
-    "nees/lower": "95 % band",
-    "nees/upper": "95 % band",
-    "nees_log10/lower": "95 % band",
-    "nees_log10/upper": "95 % band",
-    "n_eff/threshold": "resampling below",
+BORDERS = {
+    f"{metric.name}/{side}": value
+    for metric in METRICS
+    if metric.band is not None
+    for side, value in zip(("lower", "upper"), metric.band, strict=True)
 }
-"""Series in `/plots` that belong to no filter."""
+"""Series in `/plots` that are the same at every step."""
+
+GUIDES = dict.fromkeys(BORDERS, "95 % band") | {"n_eff/threshold": "resampling below"}
+"""All that belong to no filter, with their names."""
 
 Detail = Literal["usual", "all", "present", "numbers"]
 """What is written of a step: pictures as often as their turn comes; all of them; the particles as they are weighted,
@@ -558,11 +559,9 @@ class Writer:
     def _write_guides(self, step: SessionStep) -> None:
         """Two points would do for a straight line, but nobody knows which step will be the last."""
         if due(step.index, self._info.steps, self._limits.pictures):
-            low, high = nees_interval(2)
-            values = (low, high, log_nees(low), log_nees(high), step.params.resample_below * step.params.particles)
-            for path, value in zip(GUIDES, values, strict=True):
-                if path in self._guides:
-                    self._stream.log(f"plots/{path}", rr.Scalars(value))
+            values = BORDERS | {"n_eff/threshold": step.params.resample_below * step.params.particles}
+            for path in self._guides:
+                self._stream.log(f"plots/{path}", rr.Scalars(values[path]))
 
 
 def _spread(covariance: Floats) -> float:

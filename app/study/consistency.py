@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args
 
 import numpy as np
-from scipy.stats import chi2
+from rich.console import Console
 
 from app import session, values
+from app.files import check_directory
 from app.options import FILTERS, default
 from app.study.jobs import run_all
 from app.study.output import MEANS, TITLES, JobsOption, OutOption, RunsOption, SeedOption, begin, empty_table, finish
-from app.study.statistics import mean
+from app.study.statistics import Mean, mean
 from scenarios.registry import build, worlds
 from slam.limits import PARAMS, Interval
+from slam.metrics import nees_interval
 from slam.types import Floats, WeightingName
 
-DEGREES = {"position": 2, "heading": 1, "pose": 3}
+DEGREES = {"position": 2, "x": 1, "y": 1, "heading": 1, "pose": 3}
 """Of freedom."""
+
+SHOWN = ("position", "heading", "pose")
+"""In the table; the picture has all but the pose."""
 
 
 class Task(NamedTuple):
@@ -31,14 +39,10 @@ class Task(NamedTuple):
 class Outcome(NamedTuple):
     """One filter in one run, by step (T,)."""
 
-    position: Floats
-    """NEES of x and y."""
-    heading: Floats
-    """That of the heading."""
-    pose: Floats
-    """That of all three."""
+    nees: dict[str, Floats]
+    """By what it is of, as in `DEGREES`."""
     nis: tuple[float, float]
-    """Mean squared innovation over its expectation, first and second components."""
+    """Mean squared innovation over its expectation, first and second components; NaN where nothing was matched."""
     diversity: float
     """Share of the founders that are left at the end."""
 
@@ -76,13 +80,17 @@ class ConsistencyStudy:
     """Processes; results do not depend on it."""
     out: OutOption = None
     """Averages of every step, with their band."""
+    picture: Annotated[Path | None, values.path("--picture", "DIR"), default("not drawn")] = None
+    """The same as plots, consistency-WORLD.png and .svg: position, x, y and heading, a line for each filter."""
 
     def __call__(self, command: str) -> int:
         """Run, print, save; returns the exit code."""
         jobs = begin(self.out, self.jobs)
+        if self.picture is not None:
+            check_directory("--picture", self.picture)
         tasks = [Task(self, seed) for seed in range(self.seed, self.seed + self.runs)]
         found, stopped = run_all(one_run, tasks, jobs, "consistency")
-        heads = [f"NEES {name} ({freedom})" for name, freedom in DEGREES.items()]
+        heads = [f"NEES {name} ({DEGREES[name]})" for name in SHOWN]
         table = empty_table(
             f"{self.world}, {self.particles} particles, {len(found)} runs: median over steps of the mean over runs",
             "",
@@ -97,31 +105,40 @@ class ConsistencyStudy:
             table.add_row(TITLES[key], *row)
         tables = [table] if found else []
         note = f"in band: share of the steps within the 95 % band of a mean of so many runs; of the last three {MEANS}"
-        return finish(
+        code = finish(
             self, "consistency", command, {"filters": results}, tables, (len(found), self.runs), stopped, note
         )
+        if self.picture is not None and found:
+            from app.study.consistency_plot import draw  # and Matplotlib
+
+            averages = {key: {name: told[name]["mean_by_step"] for name in DEGREES} for key, told in results.items()}
+            name = draw(averages, self.world, self.particles, len(found), self.picture)
+            Console(highlight=False).print(f"plots: {self.picture / name}.{{png,svg}}", soft_wrap=True, markup=False)
+        return code
 
 
-def band(runs: int, freedom: int, confidence: float = 0.95) -> tuple[float, float]:
-    """That of the mean of so many independent NEES."""
-    low, high = chi2.ppf([0.5 - confidence / 2.0, 0.5 + confidence / 2.0], runs * freedom) / runs
-    return float(low), float(high)
-
-
-def _of_filter(runs: list[Outcome]) -> tuple[list[str], dict[str, Any]]:
+def _of_filter(runs: Sequence[Outcome]) -> tuple[list[str], dict[str, Any]]:
     row, told = [], {}
     for name, freedom in DEGREES.items():
-        averages = np.mean([getattr(run, name) for run in runs], axis=0)
-        low, high = band(len(runs), freedom)
+        averages = np.mean([run.nees[name] for run in runs], axis=0)
+        low, high = nees_interval(freedom, len(runs))
         inside = float(((averages >= low) & (averages <= high)).mean())
-        row += [f"{np.median(averages):.3g}", f"{inside:.0%}"]
+        if name in SHOWN:
+            row += [f"{np.median(averages):.3g}", f"{inside:.0%}"]
         told[name] = {"mean_by_step": averages, "band": (low, high), "share_in_band": inside}
-    nis = [mean([run.nis[i] for run in runs]) for i in range(2)]
+    nis = [_mean_of_known([run.nis[i] for run in runs]) for i in range(2)]
     left = mean([run.diversity for run in runs])
-    return [*row, *map(str, nis), str(left)], told | {
-        "nis": [one._asdict() for one in nis],
+    row += ["" if one is None else str(one) for one in nis]
+    return [*row, str(left)], told | {
+        "nis": [None if one is None else one._asdict() for one in nis],
         "diversity": left._asdict(),
     }
+
+
+def _mean_of_known(found: Sequence[float]) -> Mean | None:
+    """Over the runs in which anything was matched."""
+    known = [value for value in found if not math.isnan(value)]
+    return mean(known) if known else None
 
 
 def one_run(task: Task) -> dict[str, Outcome]:
@@ -138,13 +155,13 @@ def one_run(task: Task) -> dict[str, Outcome]:
     outcomes = {}
     for case in collector.cases():
         record = case.record
-        with np.errstate(divide="ignore", over="ignore"):  # particles that agree on one heading
-            heading = (record["heading_error_rad"] / record["spread_rad"]) ** 2
-        outcomes[case.key] = Outcome(
-            record["nees_position"],
-            heading,
-            record["nees_pose"],
-            (float(np.nanmean(record["nis_first"])), float(np.nanmean(record["nis_second"]))),
-            float(record["diversity"][-1]),
-        )
+        nees = {name: record[f"nees_{name}"] for name in DEGREES}
+        nis = (_within_run(record["nis_first"]), _within_run(record["nis_second"]))
+        outcomes[case.key] = Outcome(nees, nis, float(record["diversity"][-1]))
     return outcomes
+
+
+def _within_run(ratios: Floats) -> float:
+    """Mean over the steps (T,) in which anything was matched; NaN without one."""
+    there = ratios[~np.isnan(ratios)]
+    return float(there.mean()) if len(there) else math.nan

@@ -20,7 +20,8 @@ MOST = 3000
 """Particles that are tried."""
 
 ENOUGH_OF_THEM = ("enough particles", "not for want of particles")
-ADVICE = (*ENOUGH_OF_THEM, "more particles", "more particles at least", "more particles in vain")
+ASKED = ("more particles", "more particles at least")
+ADVICE = (*ENOUGH_OF_THEM, *ASKED, "particles for a window", "more particles in vain")
 
 
 class Setting(NamedTuple):
@@ -161,7 +162,7 @@ def one_run(task: Task) -> Outcome:
     left, asked = advice.numbers["founders_left"], int(advice.numbers["particles"])
     if advice.kind == "more particles in vain":
         asked = MORE * setting.particles
-    tried = 0 if advice.kind in ENOUGH_OF_THEM else min(asked, MOST)
+    tried = min(asked, MOST) if advice.kind in (*ASKED, "more particles in vain") else 0
     then = 0.0
     if tried:
         again = _diagnosed(setting, tried, task.seed + 1000)

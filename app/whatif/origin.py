@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 
 from app import session
-from app.compare.runs import CHANGED, root_of
+from app.compare.runs import root_of
 from app.errors import UsageError, listed, sentence
 from app.recording import texts
 from app.recording.metrics import METRICS
@@ -18,11 +18,12 @@ from app.run import SessionOptions, options_of_command
 from app.session import Change
 from app.sources import LogParts, load
 from app.types import SessionInfo, SessionStep
-from app.whatif.settings import Values, values_of, with_values
+from app.whatif.changes import changes_of
+from app.whatif.settings import Values
 from scenarios.registry import build, worlds
 from scenarios.types import Source, SourceError
 from slam.estimators import ESTIMATORS
-from slam.types import Floats, Noise, Params
+from slam.types import Floats
 
 CLOCKS = ("update_ms",)
 """What is another number each time."""
@@ -202,15 +203,12 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
 
 def _line(recording: Recording, branch: str) -> tuple[Recorded, list[Change]]:
     """What was recorded of a branch and of those that it came from, and what held from which step on."""
-    way = [branch]
-    while way[0]:  # a recording of an earlier version does not say where a branch left: then it was the run itself
-        parent = recording.params(way[0]).get("parent", "")
-        way.insert(0, "" if parent in way else parent)
+    way = recording.way(branch)
     firsts = [1, *(_first_step(recording, name) for name in way[1:])]
     recorded, changes = Recorded(), []
     for name, first, end in zip(way, firsts, [*firsts[1:], np.inf], strict=True):
         recorded.add(recording, root_of(name), first, end - 1)
-        changes += [change for change in _changes(recording, name, first) if change.step < end]
+        changes += [change for change in changes_of(recording, name, first) if change.step < end]
     return recorded, changes
 
 
@@ -220,41 +218,6 @@ def _first_step(recording: Recording, branch: str) -> int:
     if not one.keys:
         raise UsageError(f"{recording.path} has no step of the branch {branch!r}; nothing can be run again")
     return one.span[0]
-
-
-def _changes(recording: Recording, branch: str, first: int) -> list[Change]:
-    """Of a branch, or of the run itself: what it began with, and what its events tell."""
-    told = recording.params(branch)
-    now = Change(first, _made(Params, told["params"], recording.path), _made(Noise, told["noise"], recording.path))
-    found = {first: now}
-    for event in recording.events(f"{root_of(branch)}events"):
-        name, _, values = event.text.partition(CHANGED)[2].partition(": ")
-        if values and name != "filters":
-            now = with_values(now, {name: _value(now, name, values.partition(" -> ")[2], recording.path)})
-            found[event.step] = now = now._replace(step=event.step)
-    return list(found.values())
-
-
-def _made(kind: type[Any], told: Values, path: Path) -> Any:
-    """Parameters as they were recorded; those that an earlier version did not have are what they are by default."""
-    hints = get_type_hints(kind)
-    unknown = next((name for name in told if name not in hints), None)
-    if unknown is not None:
-        raise UsageError(f"{path} has the parameter {unknown!r}, which this version does not know")
-    inner = {name: _made(Noise, value, path) if isinstance(value, dict) else value for name, value in told.items()}
-    return kind(**inner)
-
-
-def _value(now: Change, name: str, text: str, path: Path) -> Any:
-    """A parameter as an event tells of it: numbers to the last bit."""
-    known = values_of(now)
-    try:
-        former = known[name]
-        if isinstance(former, bool):
-            return {"True": True, "False": False}[text]
-        return type(former)(text)
-    except (KeyError, ValueError):
-        raise UsageError(f"{path} says that {name} became {text!r}, which this version does not know") from None
 
 
 def _source(told: Values, path: Path, place: Path | None) -> tuple[Source, list[str]]:

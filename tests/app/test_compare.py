@@ -22,6 +22,7 @@ from app.compare.table import filter_table, header, rows
 from app.compare.words import all_the_same, data_of, sentences, study_commands
 from app.errors import UsageError
 from app.recording import Recorder, RecordingError
+from app.recording.metrics import METRICS
 from app.recording.reading import Recording
 from app.recording.stream import FLUSH_EVERY
 from app.summary import Summary
@@ -534,7 +535,9 @@ class TestOutput:
         entities = {chunk.entity_path for chunk in chunks}
         for name in ("a", "more"):
             own = {e for e in Recording(place / f"{name}.rrd").entities if not e.startswith("/__properties")}
-            bands = {f"/plots/{plot}/{side}" for plot in ("nees", "nees_log10") for side in ("lower", "upper")}
+            banded = [metric.name for metric in METRICS if metric.band is not None]
+            bands = {f"/plots/{plot}/{side}" for plot in banded for side in ("lower", "upper")}
+            assert len(bands) == 10
             there = {e.removeprefix(f"/{name}") for e in entities if e.startswith(f"/{name}/")}
             assert there == (own if name == "a" else own - bands)
         moved = [chunk for chunk in chunks if chunk.entity_path == "/more/plots/n_eff/dfs" and not chunk.is_static]

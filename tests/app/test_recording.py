@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from app import session
 from app.recording import Recorder
@@ -14,6 +15,7 @@ from app.recording.metrics import METRICS
 from app.recording.reading import Recording
 from app.types import SessionInfo, SessionStep
 from scenarios.registry import build
+from slam.ancestry_variance import luck_of_pose
 from slam.estimators import ESTIMATORS
 from slam.genealogy import Branch
 from slam.weights import weight_variance
@@ -116,6 +118,31 @@ def test_the_blueprint_travels_in_the_file(recorded):
     assert len(reader.blueprints()) == 1
 
 
+@pytest.mark.parametrize(
+    ("plot", "freedom", "logarithm"),
+    [("nees", 2, False), ("nees_log10", 2, True), ("nees_x_log10", 1, True), ("nees_heading_log10", 1, True)],
+)
+def test_plots_of_the_nees_have_the_band_of_their_degrees_of_freedom(recorded, plot, freedom, logarithm):
+    recording, _ = recorded
+    borders = [recording.series(f"/plots/{plot}/{side}")[1] for side in ("lower", "upper")]
+    expected = chi2.ppf([0.025, 0.975], freedom)
+    for values, border in zip(borders, np.log10(expected) if logarithm else expected, strict=True):
+        np.testing.assert_allclose(values, border, rtol=1e-9)
+
+
+@pytest.mark.parametrize("key", ["dfs", "fs2", "ekf"])
+def test_the_luck_of_the_particles_is_plotted_beside_what_the_filter_reports(recorded, key):
+    """As it is worked out anew from the particles; of one particle there is none."""
+    recording, steps = recorded
+    _, told = recording.series(f"/plots/monte_carlo/{key}")
+    _, spread = recording.series(f"/plots/spread/{key}")
+    updates = [s.filters[key] for s in steps]
+    expected = [luck_of_pose(u.trace.weighted, u.measures.estimate)[:2].mean() ** 0.5 for u in updates]
+    np.testing.assert_allclose(told, expected, rtol=1e-12)
+    assert np.isfinite(told).any() == (key != "ekf")
+    np.testing.assert_allclose(spread, [np.diag(u.measures.covariance)[:2].mean() ** 0.5 for u in updates], rtol=1e-12)
+
+
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("name", FIELDS)
 def test_plots_are_the_measures(recorded, key, name):
@@ -136,6 +163,10 @@ def test_units_of_the_other_plots(recorded):
     assert np.isfinite(logarithm).all()
     expected = np.clip(np.log10(np.maximum([u.measures.nees_position for u in updates], 1e-300)), -2.0, 6.0)
     np.testing.assert_allclose(logarithm, expected, atol=1e-12)
+    for i, name in enumerate(("x", "y", "heading")):
+        _, logarithm = recording.series(f"/plots/nees_{name}_log10/fs1")
+        expected = np.clip(np.log10(np.maximum([u.measures.nees_components[i] for u in updates], 1e-300)), -3.5, 6.0)
+        np.testing.assert_allclose(logarithm, expected, atol=1e-12)
     time, _ = recording.series("/plots/n_eff/dfs", "sim_time")
     np.testing.assert_allclose(time, [s.frame.time for s in steps], atol=1e-8)
 

@@ -56,7 +56,8 @@ def test_a_branch_repeats_the_tree_below_its_name(branched):
     first, second = "/branch/seven-particles-r-4", "/branch/seven-particles-r-4-2"
     entities = set(recording.entities)
     own = {e for e in entities if not e.startswith(("/branch/", "/__properties"))}
-    without = {"/plots/nees/lower", "/plots/nees/upper", "/plots/nees_log10/lower", "/plots/nees_log10/upper"}
+    banded = ("nees", "nees_log10", "nees_x_log10", "nees_y_log10", "nees_heading_log10")
+    without = {f"/plots/{plot}/{side}" for plot in banded for side in ("lower", "upper")}
     for branch in (first, second):
         assert {branch + e for e in own - without} == {e for e in entities if e.startswith(f"{branch}/")}
     for timeline in ("step", "sim_time", "stage"):

@@ -224,7 +224,7 @@ class TestDamage:
         disk = tmp_path / "disk"
         disk.mkdir()
         mounted = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=400k", "none", disk], check=False, capture_output=True
+            ["mount", "-t", "tmpfs", "-o", "size=500k", "none", disk], check=False, capture_output=True
         )
         if mounted.returncode != 0:
             pytest.skip("mounting is not allowed here")
@@ -235,7 +235,7 @@ class TestDamage:
             subprocess.run(["umount", disk], check=True)
 
 
-@pytest.mark.parametrize("room", [300_000, 500_000, 700_000])
+@pytest.mark.parametrize("room", [400_000, 500_000, 700_000])
 def test_a_full_disk_is_told_once_whenever_it_is_noticed(tmp_path, room):
     """The file is written behind the run's back: a short run may be over before anybody knows."""
     done = run_script(tmp_path / "full.rrd", steps=20, limit=room, particles=400)

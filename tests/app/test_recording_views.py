@@ -93,8 +93,8 @@ def test_it_opens_on_the_map_and_the_plots(viewer: Viewer):
 def test_every_view_shows_something_and_reports_nothing(viewer: Viewer, hollow: Viewer):
     views = {(view.name, view.origin): view for view in viewer.views()}
     assert {view.view_class for view in views.values()} == set(LEAST)
-    # maps, close-ups, plots, ancestry, weights, hypotheses, pages
-    assert len(views) == 1 + len(KEYS) + 3 * len(KEYS) + 15 + 1 + 3 + 3 + 3
+    # maps, close-ups, plots (one is there twice), ancestry, weights, hypotheses, pages
+    assert len(views) == 1 + len(KEYS) + 3 * len(KEYS) + 20 + 1 + 3 + 3 + 3
     full, empty = pictures(viewer), pictures(hollow)
     drawn = {
         which: share_drawn(full[which])

@@ -10,9 +10,10 @@ import threading
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from app import cli
-from app.study import consistency
+from app.study import consistency, consistency_plot
 from app.study.jobs import run_all
 from app.study.statistics import Mean, mean, spread
 
@@ -178,11 +179,49 @@ class TestConsistency:
         assert len(told["ekf"]["pose"]["mean_by_step"]) == 59
         assert abs(told["ekf"]["nis"][0]["value"] - 1.0) < 0.2
 
-    def test_the_band_of_a_mean(self):
-        """95 of 100 means of 10 chi-square numbers are in it."""
-        low, high = consistency.band(10, 2)
-        means = np.random.default_rng(0).chisquare(2, (4000, 10)).mean(axis=1)
-        assert ((means >= low) & (means <= high)).mean() == pytest.approx(0.95, abs=0.01)
+    def test_one_step_in_which_nothing_is_known_yet(self, tmp_path, capsys):
+        """No innovations, and no warning of any library."""
+        line = "consistency --runs 2 --steps 1 --particles 5 --filters dfs ekf --jobs 1"
+        found = saved(tmp_path, *line.split(), "--picture", str(tmp_path / "plots"))
+        assert found["filters"]["dfs"]["nis"] == [None, None]
+        assert found["filters"]["ekf"]["heading"]["mean_by_step"][0] > 0.0
+        assert "nan" not in capsys.readouterr().out
+        names = {"consistency-paper-line.png", "consistency-paper-line.svg"}
+        assert {path.name for path in (tmp_path / "plots").iterdir()} == names
+
+    def test_averages_are_those_of_the_runs(self, tmp_path):
+        """Of each component, and the share of them in the band of their degrees of freedom."""
+        line = "consistency --runs 3 --steps 12 --particles 20 --filters fs2 --seed 5 --jobs 1"
+        found = saved(tmp_path, *line.split())["filters"]["fs2"]
+        study = consistency.ConsistencyStudy(filters=("fs2",), steps=12, particles=20)
+        runs = [consistency.one_run(consistency.Task(study, seed))["fs2"] for seed in (5, 6, 7)]
+        for name, freedom in (("position", 2), ("x", 1), ("y", 1), ("heading", 1), ("pose", 3)):
+            averages = np.mean([run.nees[name] for run in runs], axis=0)
+            low, high = chi2.ppf([0.025, 0.975], 3 * freedom) / 3
+            assert found[name]["mean_by_step"] == pytest.approx(averages)
+            assert found[name]["band"] == pytest.approx([low, high])
+            assert found[name]["share_in_band"] == ((averages >= low) & (averages <= high)).mean()
+
+    def test_the_picture_has_a_line_for_each_filter_and_the_band_of_each_component(self, tmp_path):
+        values = np.array([1.0, 2.0, 20.0, math.inf, 0.01])
+        averages = {key: dict.fromkeys(("position", "x", "y", "heading", "pose"), values) for key in ("dfs", "fs1")}
+        figure = consistency_plot.figure_of(averages, "a world", 20)
+        assert [axes.get_title(loc="left").split(":")[0] for axes in figure.axes] == ["position", "x", "y", "heading"]
+        for axes, freedom in zip(figure.axes, (2, 1, 1, 1), strict=True):
+            (band,), lines = axes.patches, axes.get_lines()[1:]
+            assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx(
+                chi2.ppf([0.025, 0.975], 20 * freedom) / 20
+            )
+            assert [line.get_color() for line in lines] == ["#e69f00", "#009e73"]
+            for line in lines:
+                assert line.get_ydata().tolist() == [1.0, 2.0, 20.0, 30.0, 0.1]
+            low, high = axes.get_ylim()
+            assert low < 0.1 < 30.0 < high
+        drawn = [consistency_plot.draw(averages, "loop", 30, 20, tmp_path / name) for name in ("a", "b")]
+        assert drawn == ["consistency-loop"] * 2
+        one, other = ((tmp_path / name / "consistency-loop.svg").read_text() for name in ("a", "b"))
+        assert one == other
+        assert ">Dual FastSLAM<" in one
 
 
 class TestDiagnosis:

@@ -15,6 +15,7 @@ from slam.metrics import (
     mixture_moments,
     nees,
     nees_interval,
+    nees_of_components,
     pose_error,
     rms,
 )
@@ -189,6 +190,16 @@ def test_nees_edges():
     assert math.isnan(nees(np.zeros(2), np.diag([1.0, math.inf])))
 
 
+def test_nees_of_components_are_those_of_each_alone():
+    rng = np.random.default_rng(5)
+    C, e = random_covariance(rng, [2.0, 0.1, 0.01]), rng.normal(size=3)
+    found = nees_of_components(e, C)
+    assert found == pytest.approx([nees(e[[i]], C[np.ix_([i], [i])]) for i in range(3)])
+    assert nees_of_components(np.array([0.0, 1e-12, 3.0]), np.diag([0.0, 0.0, 4.0])).tolist() == [0.0, math.inf, 2.25]
+    unknown = nees_of_components(np.array([math.nan, math.nan, 1.0]), np.diag([1.0, 0.0, math.inf]))
+    assert np.isnan(unknown).all()
+
+
 def test_nees_interval_is_the_chi_square_one():
     assert nees_interval(2) == pytest.approx(chi2.ppf([0.025, 0.975], 2))
     assert nees_interval(3, 50, 0.99) == pytest.approx(chi2.ppf([0.005, 0.995], 150) / 50)
@@ -341,3 +352,4 @@ def test_measure_without_true_heading():
     assert m.nees_position == pytest.approx(1.0)
     assert math.isnan(m.heading_error_rad)
     assert math.isnan(m.nees_pose)
+    assert np.isnan(m.nees_components).tolist() == [False, False, True]
