@@ -28,7 +28,7 @@ from slam.linalg import (
 )
 from slam.map_store import LEAF, leaf_of
 from slam.motion import deviation, propagate
-from slam.types import NEW, Frame, Ints, Noise, ObservationNoise, Trace
+from slam.types import NEW, Floats, Frame, Ints, Noise, ObservationNoise, ResamplerName, Trace
 
 ULP = 2.0**-52
 """Relative: the distance of two neighbouring numbers."""
@@ -41,7 +41,7 @@ NOTICED = 1e-5
 """[standard deviations] What is more is no rounding."""
 
 ROUNDING = 1e-9
-"""[standard deviations] Two computations of one number differ by less."""
+"""Relative, [rad], or [standard deviations]: two computations of one number differ by less."""
 
 MANY = 128
 """Particles among which copies are looked for."""
@@ -53,6 +53,111 @@ LEAST = 2
 """Draws from which on something is said: one may be alike by chance, once in a long run."""
 
 _NOBODY = np.zeros((0, 0), np.int64)
+
+
+# Weights --------------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def inequality(log_w: Any) -> float:
+    """How far log weights (K,) are from those of equal weights, at the most."""
+    equal, most = -math.log(len(log_w)), 0.0
+    for k in range(len(log_w)):
+        most = max(most, abs(log_w[k] - equal))
+    return most
+
+
+def contradiction(before: Floats, after: Floats, log_p: Floats) -> tuple[float, float]:
+    """How far log weights (K,) after a step are from those before and the log likelihoods (K, Z), but for a constant,
+    as a share of the largest number that is in them; and the largest sum of log likelihoods.
+
+    Particles without a weight before, for which something is impossible, or that are impossible beside others, say
+    nothing.  NaN where less than two say anything; infinite for a weight of zero that should be none.
+    """
+    return _contradiction(before, after, log_p, np.empty(len(before)))
+
+
+@kernel
+def _contradiction(before: Any, after: Any, log_p: Any, expected: Any) -> tuple[float, float]:
+    exponent, likeliest, certain = -np.inf, -np.inf, False
+    for k in range(len(before)):
+        total = 0.0
+        for i in range(log_p.shape[1]):
+            total += log_p[k, i]
+        exponent = total if total > exponent else exponent
+        expected[k] = before[k] + total
+        certain |= total == np.inf or expected[k] == np.inf
+        if np.isfinite(expected[k]) and expected[k] > likeliest:
+            likeliest = expected[k]
+    told, lost, low, high, added, earlier, later = 0, False, np.inf, -np.inf, 0.0, 0.0, 0.0
+    for k in range(len(before)):
+        if np.isfinite(expected[k] - likeliest):
+            parts = 0.0
+            for i in range(log_p.shape[1]):
+                parts += abs(log_p[k, i])
+            told += 1
+            lost |= not np.isfinite(after[k])
+            low, high = min(low, after[k] - expected[k]), max(high, after[k] - expected[k])
+            added, earlier, later = max(added, parts), max(earlier, abs(before[k])), max(later, abs(after[k]))
+    if told < 2 or certain:
+        return np.nan, exponent
+    return (np.inf if lost else (high - low) / (1.0 + added + earlier + later)), exponent
+
+
+def misplaced_first(w: Floats, selected: Ints, resampler: ResamplerName) -> float:
+    """Whether the first particle is in a place that the scheme gives to another one, by weights (K,) and the particles
+    (K',) in all other places; 1 or 0, and NaN for a scheme that may always give it to the first.
+
+    Systematic resampling has one random number u, and place j is given to the particle in whose share of the weights
+    (j + u) / K lies: so each place says from where to where u is.  Residual resampling makes the whole part of the
+    expected number of copies for certain.
+    """
+    if resampler not in ("systematic", "residual"):
+        return math.nan
+    if selected[0] != 0:
+        return 0.0
+    if resampler == "systematic":
+        return float(_misplaced_by_stride(w, selected, np.empty(len(w) + 1)))
+    return float(_misplaced_by_count(w, selected, np.zeros(len(w), np.int64)))
+
+
+@kernel
+def _misplaced_by_stride(w: Any, selected: Any, ends: Any) -> bool:
+    K = len(selected)
+    ends[0] = 0.0
+    for k in range(len(w)):
+        ends[k + 1] = ends[k] + w[k]
+    for k in range(len(ends)):
+        ends[k] *= K / ends[-1]
+    low, high = 0.0, 1.0
+    for j in range(1, K):
+        low, high = max(low, ends[selected[j]] - j), min(high, ends[selected[j] + 1] - j)
+    return low <= high + K * ROUNDING and low > ends[1] + K * ROUNDING
+
+
+@kernel
+def _misplaced_by_count(w: Any, selected: Any, copies: Any) -> bool:
+    few = False
+    for k in selected:
+        copies[k] += 1
+    for k in range(len(w)):
+        few |= copies[k] < math.floor(len(selected) * w[k] - len(selected) * ROUNDING)
+    return few
+
+
+# Innovations ----------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def largest_angle(v: Any) -> float:
+    """[rad] of the second components of innovations (K, Z, 2); NaN where there is none."""
+    most, found = -1.0, False
+    for k in range(v.shape[0]):
+        for i in range(v.shape[1]):
+            angle = abs(v[k, i, 1])
+            found |= np.isfinite(angle)
+            most = angle if angle > most else most
+    return most if found else np.nan
 
 
 def corrected_before(trace: Trace, frame: Frame, sample: Ints) -> float:
@@ -129,19 +234,28 @@ def undrawn(trace: Trace, frame: Frame, R: ObservationNoise, believed: Noise) ->
     drawn from something that floating point can tell apart from its mean: exact controls, for one thing.
     """
     predicted, weighted, after = trace.predicted, trace.weighted, trace.resampled
-    if after.P.any():
+    if uncertain(after.P):
         found, left = predicted.maps, weighted.maps
         told, alike = _undrawn_features(
             frame.feature, left.store.pool, left.roots, left.depth, found.counts, left.counts, weighted.s, weighted.P,
             trace.n, frame.z, R,
         )  # fmt: skip
-    elif predicted.P.any():
+    elif uncertain(predicted.P):
         told, alike = _undrawn_poses(weighted.s, weighted.P, after.s, trace.selected)
     else:
         sigma = deviation(frame.motion, frame.u, believed)
         fine = np.where(sigma > COARSE * ULP * np.abs(frame.u), sigma, 0.0)
         told, alike = _copied_poses(frame.motion, frame.u, frame.dt, fine, predicted.s)
     return alike / told if told >= LEAST else math.nan
+
+
+@kernel
+def uncertain(P: Any) -> bool:
+    """Whether any of the covariances (K, 3, 3) is not zero."""
+    k = 0
+    while k < len(P) and P[k, 0, 0] == 0.0 and P[k, 1, 1] == 0.0 and P[k, 2, 2] == 0.0:
+        k += 1
+    return k < len(P)
 
 
 @kernel
@@ -216,13 +330,35 @@ def _copied_poses(motion: Any, u: Any, dt: Any, sigma: Any, s: Any) -> Any:
     alike = 0
     for b in range(1, K):
         for a in range(b):
-            if s[a, 0] == s[b, 0] and s[a, 1] == s[b, 1] and s[a, 2] == s[b, 2]:
+            if _same(s[a], s[b]):
                 alike += 1
                 break
     return K - 1, alike
 
 
+@inline
+def _same(a: Any, b: Any) -> Any:
+    """Whether two rows of numbers are equal."""
+    m = 0
+    while m < len(a) and a[m] == b[m]:
+        m += 1
+    return m == len(a)
+
+
 # Maps -----------------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def miscount(found: Any, left: Any, n: Any) -> int:
+    """By how much the features that a map gained, from found (K,) to left (K,), differ from what was new to its
+    particle; n (K, Z)."""
+    most = 0
+    for k in range(len(n)):
+        gained = left[k] - found[k]
+        for i in range(n.shape[1]):
+            gained -= n[k, i] == NEW
+        most = max(most, abs(gained))
+    return most
 
 
 def twins(trace: Trace, frame: Frame, R: ObservationNoise) -> float:
@@ -232,31 +368,47 @@ def twins(trace: Trace, frame: Frame, R: ObservationNoise) -> float:
     are counted where the correction of what each of them had before, for its own pose, gives others: at the pose that
     they were predicted at, and at the one that they have now.  NaN where features are not corrected.
     """
-    if not trace.n.size or trace.resampled.P.any():
-        return math.nan
     predicted, after, (before, left) = trace.predicted, trace.resampled, (trace.predicted.maps, trace.weighted.maps)
-    i = int((trace.n >= 0).sum(axis=0).argmax())
-    who = np.empty(MANY, np.int64)
-    count = _correctors(trace.n[:, i], _merged(trace), trace.selected, who)
+    if not trace.n.size or uncertain(after.P):
+        return math.nan
+    i = _most_matched(trace.n, np.zeros(trace.n.shape[1], np.int64))
+    who, there = np.empty(MANY, np.int64), np.empty((MANY, min(left.store.dim, 3)))
+    pool, n = left.store.pool, trace.n[:, i]
+    count = _correctors(pool, left.roots, left.depth, n, _merged(trace), trace.selected, who, there)
     if not count:
         return math.nan
     noise = ObservationNoise(R.sensor[i : i + 1], R.model)
     return float(
         _twins(
-            frame.feature, left.store.pool, before.roots, before.depth, left.roots, left.depth, trace.n[:, i],
-            predicted.s, after.s, trace.selected, frame.z[i], noise, who[:count],
+            frame.feature, pool, before.roots, before.depth, n, predicted.s, after.s, trace.selected, frame.z[i], noise,
+            who[:count], there,
         )
     )  # fmt: skip
 
 
 @kernel
-def _correctors(n: Any, merged: Any, selected: Any, who: Any) -> Any:
-    """Into `who` the places of those that have corrected feature n (K,), one of each; returns how many they are."""
+def _most_matched(n: Any, matched: Any) -> int:
+    """The observation that most particles have matched; matched (Z,) is zero."""
+    for k in range(len(n)):
+        for i in range(len(matched)):
+            matched[i] += n[k, i] >= 0
+    return int(np.argmax(matched))
+
+
+@kernel
+def _correctors(
+    pool: Any, roots: Any, depth: Any, n: Any, merged: Any, selected: Any, who: Any, there: Any
+) -> Any:  # fmt: skip
+    """Into `who` the places of those that have corrected feature n (K,), one of each, and into `there` what it is now
+    in what a correction changes, or turns; returns how many they are."""
     count = 0
     for j in range(len(selected)):
         k = selected[j]
         if count == len(who) or (j > 0 and selected[j - 1] == k) or n[k] < 0 or _has_merged(merged, k):
             continue
+        row, _ = _entry(pool, roots[k], depth, n[k])
+        for m in range(there.shape[1]):
+            there[count, m] = row[m]
         who[count] = j
         count += 1
     return count
@@ -264,37 +416,25 @@ def _correctors(n: Any, merged: Any, selected: Any, who: Any) -> Any:
 
 @kernel
 def _twins(
-    feature: Any, pool: Any, before: Any, before_depth: Any, left: Any, left_depth: Any, n: Any, predicted: Any,
-    after: Any, selected: Any, z: Any, R: Any, who: Any,
+    feature: Any, pool: Any, roots: Any, depth: Any, n: Any, predicted: Any, after: Any, selected: Any, z: Any, R: Any,
+    who: Any, there: Any,
 ) -> Any:  # fmt: skip
     count, sensor, model = 0, load22(R.sensor[0]), load22(R.model)
     for b in range(1, len(who)):
-        k = selected[who[b]]
-        row, _ = _entry(pool, left[k], left_depth, n[k])
         for a in range(b):
-            k_a = selected[who[a]]
-            row_a, _ = _entry(pool, left[k_a], left_depth, n[k_a])
-            if k_a == k or not _same(row, row_a, pool.data.shape[2] - 4):
+            k, its = selected[who[b]], selected[who[a]]
+            if not _same(there[a], there[b]) or k == its:
                 continue
-            theta, Sigma = _entry(pool, before[k], before_depth, n[k])
-            theta_a, Sigma_a = _entry(pool, before[k_a], before_depth, n[k_a])
+            theta, Sigma = _entry(pool, roots[k], depth, n[k])
+            other, Sigma_other = _entry(pool, roots[its], depth, n[its])
             apart = True
-            for own, its in ((predicted[k], predicted[k_a]), (after[who[b]], after[who[a]])):
-                one = _corrected(feature, theta, Sigma, load3(own), z, sensor, model)
-                other = _corrected(feature, theta_a, Sigma_a, load3(its), z, sensor, model)
-                apart &= _differ(one, other)
+            for s, s_other in ((predicted[k], predicted[its]), (after[who[b]], after[who[a]])):
+                one = _corrected(feature, theta, Sigma, load3(s), z, sensor, model)
+                two = _corrected(feature, other, Sigma_other, load3(s_other), z, sensor, model)
+                apart &= _differ(one, two)
             count += apart
             break
     return count
-
-
-@inline
-def _same(a: Any, b: Any, dim: Any) -> Any:
-    """Whether two features are the same in what a correction changes, or turns."""
-    same = True
-    for m in range(min(dim, 3)):
-        same &= a[m] == b[m]
-    return same
 
 
 @inline

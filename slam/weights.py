@@ -1,10 +1,12 @@
 """Why weights differ: which observations part the particles, and what of them; and whether innovations are as expected.
 
-Nothing here is seen by a filter.  `weight_variance` and `innovation_statistics` are of one step of one filter.
+Nothing here is seen by a filter.  All is of one step of one filter, and made for every step: so sums run over the
+particles once, and what several functions need is an argument, `Mixtures`.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -12,8 +14,8 @@ import numpy as np
 
 from slam._jit import kernel
 from slam.association.jcbb import chi_square_gates
-from slam.linalg import LOG_TWO_PI
-from slam.types import Bools, Floats, Ints, Trace
+from slam.linalg import LOG_TWO_PI, determinant22, load22
+from slam.types import NEW, Floats, Ints, Trace
 
 
 class WeightVariance(NamedTuple):
@@ -64,78 +66,126 @@ class InnovationStatistics(NamedTuple):
     """How many observations were matched: a particle's, on the average."""
 
 
-def weight_variance(trace: Trace) -> WeightVariance:
-    """The parts of the variance of the log weights of one step, and what it says of the proposal."""
-    prior, log_p = np.exp(trace.predicted.log_w), trace.log_likelihood
-    Z, nan = log_p.shape[1], math.nan
-    possible = np.isfinite(log_p).all(axis=1) & (prior > 0.0)
-    if not possible.any():
+class Mixtures(NamedTuple):
+    """The innovations of each observation over the particles that have matched it, weighted as before the step.
+
+    Zeros, and NaN for means, where no particle has.
+    """
+
+    weight: Floats
+    """(Z,) of these particles."""
+    members: Floats
+    """(Z,) how many they are."""
+    v: Floats
+    """(Z, 2) mean."""
+    V: Floats
+    """(Z, 3) mean of what each expects: its elements 11, 12, 22."""
+    between: Floats
+    """(Z, 3) the same of the covariance of the innovations between them."""
+
+
+def mixtures(trace: Trace) -> Mixtures:
+    """Of one step."""
+    return _mixtures(trace, np.exp(trace.predicted.log_w))
+
+
+def _mixtures(trace: Trace, w: Floats) -> Mixtures:
+    Z = trace.n.shape[1]
+    mixed = Mixtures(np.zeros(Z), np.zeros(Z), np.zeros((Z, 2)), np.zeros((Z, 3)), np.zeros((Z, 3)))
+    _mix(w, trace.n, *trace.innovations, mixed)
+    return mixed
+
+
+@kernel
+def _mix(w: Any, n: Any, v: Any, V: Any, mixed: Any) -> None:
+    """Adds to `mixed`, which is zero."""
+    weight, members, mean, expected, between = mixed
+    for k in range(len(w)):
+        for i in range(len(weight)):
+            if n[k, i] >= 0 and w[k] > 0.0:
+                weight[i] += w[k]
+                members[i] += 1.0
+                mean[i, 0] += w[k] * v[k, i, 0]
+                mean[i, 1] += w[k] * v[k, i, 1]
+                expected[i, 0] += w[k] * V[k, i, 0, 0]
+                expected[i, 1] += w[k] * V[k, i, 0, 1]
+                expected[i, 2] += w[k] * V[k, i, 1, 1]
+    for i in range(len(weight)):
+        for a in range(2):
+            mean[i, a] /= weight[i]
+        for a in range(3):
+            expected[i, a] /= weight[i]
+    for k in range(len(w)):
+        for i in range(len(weight)):
+            if n[k, i] >= 0 and w[k] > 0.0:
+                share, off_0, off_1 = w[k] / weight[i], v[k, i, 0] - mean[i, 0], v[k, i, 1] - mean[i, 1]
+                between[i, 0] += share * off_0 * off_0
+                between[i, 1] += share * off_0 * off_1
+                between[i, 2] += share * off_1 * off_1
+
+
+# Weights --------------------------------------------------------------------------------------------------------------
+
+
+def weight_variance(trace: Trace, mixed: Mixtures | None = None) -> WeightVariance:
+    """The parts of the variance of the log weights of one step, and what it says of the proposal.
+
+    `mixed` are the mixtures of the step, if they are there already.
+    """
+    prior, (K, Z), nan = np.exp(trace.predicted.log_w), trace.n.shape, math.nan
+    w, sums, shares = np.empty(K), np.zeros((5, K)), np.zeros(Z)
+    possible = _possible(prior, trace.log_likelihood, w)
+    if not possible:
         return WeightVariance(nan, np.full(Z, nan), nan, nan, nan, nan, nan, (nan, nan))
-    w = np.where(possible, prior, 0.0)
-    w /= w.sum()
-    L, first, second, unmatched, distance = sums = np.zeros((5, len(w)))
-    _sum_over_observations(w, log_p, trace.n, *trace.innovations, trace.temper, sums)
-
-    away = np.where(possible, L - w @ L, 0.0)
-    away -= np.where(possible, w @ away, 0.0)  # twice: the sum may be large beside what it varies by
-    variance = float(w @ away**2)
-    if variance <= ROUNDING * float(w @ L**2):
-        variance = 0.0
-    observations = np.zeros(Z)
-    _covariances(w * away, log_p, observations)
-    observations = observations / variance if variance > 0.0 else np.full(Z, nan)
-
-    def share(part: Floats) -> float:
-        return float((w * away) @ part) / variance if variance > 0.0 else nan
-
-    return WeightVariance(
-        deviation=math.sqrt(variance),
-        observations=observations,
-        first=share(first),
-        second=share(second),
-        unmatched=share(unmatched),
-        drawn=share(L - first - second - unmatched),
-        inside=_inside(distance, trace.n >= 0, possible),
-        wide=_wide(_mixtures(trace, w)),
+    some, inside = _sum_over_observations(
+        w, trace.log_likelihood, trace.n, *trace.innovations, trace.temper, _gates(Z), sums
     )
+    variance, first, second, unmatched, drawn = _covariances(w, trace.log_likelihood, sums, shares)
+    if mixed is None or possible < K:
+        mixed = _mixtures(trace, w)
+    reached = inside / some if some else nan
+    return WeightVariance(math.sqrt(variance), shares, first, second, unmatched, drawn, reached, _wide(mixed))
 
 
 ROUNDING = 1e-20
 """Of the mean square of a sum of logarithms, the variance that rounding alone leaves."""
 
 
-def innovation_statistics(trace: Trace) -> InnovationStatistics:
-    """Predicted against actual innovations of the particles together."""
-    m = _mixtures(trace, np.exp(trace.predicted.log_w))
-    if not len(m.weight):
-        return InnovationStatistics(math.nan, math.nan, 0.0)
-    C = m.V + m.between
-    cross = C[:, 0, 1] / C[:, 0, 0]
-    first = m.v[:, 0] ** 2 / C[:, 0, 0]
-    second = (m.v[:, 1] - cross * m.v[:, 0]) ** 2 / (C[:, 1, 1] - cross * C[:, 0, 1])
-    count = float(m.weight.sum())
-    return InnovationStatistics(float(m.weight @ first) / count, float(m.weight @ second) / count, count)
-
-
-def innovation_widths(trace: Trace, R: Floats) -> Floats:
-    """(Z,) deviation that the particles that matched an observation expect of it, over that of the sensor alone.
-
-    The geometric mean of both components, (det V / det R)^1/4, with R (Z, 2, 2) as it is believed for known features: 1
-    where pose and map add nothing, large where the pose is uncertain; NaN where nothing was matched.
-    """
-    m = _mixtures(trace, np.exp(trace.predicted.log_w))
-    widths = np.full(len(R), np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):  # NaN where V is as good as singular, and R may be
-        widths[m.observation] = (np.linalg.det(m.V) / np.linalg.det(R[m.observation])) ** 0.25
-    return widths
+@functools.cache
+def _gates(Z: int) -> Floats:
+    return chi_square_gates(0.99, Z)
 
 
 @kernel
-def _sum_over_observations(w: Any, log_p: Any, n: Any, v: Any, V: Any, temper: Any, sums: Any) -> None:
+def _possible(prior: Any, log_p: Any, w: Any) -> Any:
+    """Into w (K,) the weights of the particles that are possible, normalised; returns how many they are."""
+    count, total = 0, 0.0
+    for k in range(len(prior)):
+        possible = prior[k] > 0.0
+        for i in range(log_p.shape[1]):
+            possible &= np.isfinite(log_p[k, i])
+        w[k] = prior[k] if possible else 0.0
+        count += possible
+        total += w[k]
+    for k in range(len(prior)):
+        w[k] /= total
+    return count
+
+
+@kernel
+def _sum_over_observations(
+    w: Any, log_p: Any, n: Any, v: Any, V: Any, temper: Any, gates: Any, sums: Any
+) -> tuple[int, int]:
     """Of each particle that counts: L, what the first and the second component of what it matched have in it,
-    log N(v; 0, V) = log N(v_1; 0, V_11) + log N(v_2 | v_1), what it did not match, and its squared distances (25)."""
+    log N(v; 0, V) = log N(v_1; 0, V_11) + log N(v_2 | v_1), and what it did not match.
+
+    Returns how many have matched anything, and how many of these have all of it within the gate together: squared
+    distances (25) of a chain of updates sum to that of all of them.
+    """
+    some, inside = 0, 0
     for k in range(len(w)):
         if w[k] > 0.0:
+            matched, distance = 0, 0.0
             for i in range(log_p.shape[1]):
                 sums[0, k] += log_p[k, i]
                 if n[k, i] < 0:
@@ -147,87 +197,138 @@ def _sum_over_observations(w: Any, log_p: Any, n: Any, v: Any, V: Any, temper: A
                 given = (v[k, i, 1] - cross * v[k, i, 0]) ** 2 / rest
                 sums[1, k] -= 0.5 * temper * (LOG_TWO_PI + np.log(V[k, i, 0, 0]) + near)
                 sums[2, k] -= 0.5 * temper * (LOG_TWO_PI + np.log(rest) + given)
-                sums[4, k] += near + given
+                matched += 1
+                distance += near + given
+            some += matched > 0
+            inside += matched > 0 and distance <= gates[matched]
+    return some, inside
 
 
 @kernel
-def _covariances(weights: Any, parts: Any, out: Any) -> None:
-    """Add `weights` (K,) times `parts` (K, Z), without those of weight zero, whose parts may be infinite."""
-    for k in range(len(weights)):
-        if weights[k] != 0.0:
-            for i in range(len(out)):
-                out[i] += weights[k] * parts[k, i]
-
-
-def _inside(distance: Floats, matched: Bools, possible: Bools) -> float:
-    """Squared distances (25) of a chain of updates sum to that of all of them together."""
-    counts = matched.sum(axis=1)
-    some = possible & (counts > 0)
-    if not some.any():
-        return math.nan
-    gates = chi_square_gates(0.99, matched.shape[1])
-    return float((distance <= gates[counts])[some].mean())
-
-
-class Mixtures(NamedTuple):
-    """The innovations of each observation that any particle has matched, over these particles."""
-
-    observation: Ints
-    """(m,) which observations these are."""
-    weight: Floats
-    """(m,) of them."""
-    members: Floats
-    """(m,) how many they are."""
-    v: Floats
-    """(m, 2) mean."""
-    V: Floats
-    """(m, 2, 2) mean of what each expects."""
-    between: Floats
-    """(m, 2, 2) covariance of the innovations between them."""
-
-
-def _mixtures(trace: Trace, w: Floats) -> Mixtures:
-    Z = trace.n.shape[1]
-    weight, members, v, V, between = (
-        np.zeros(Z),
-        np.zeros(Z),
-        np.zeros((Z, 2)),
-        np.zeros((Z, 2, 2)),
-        np.zeros((Z, 2, 2)),
+def _covariances(w: Any, log_p: Any, sums: Any, shares: Any) -> Any:
+    """Var(L), and the shares in it of the four sums that L has; into `shares` (Z,) those of observations."""
+    mean, square, rest = 0.0, 0.0, 0.0
+    for k in range(len(w)):
+        mean += w[k] * sums[0, k]
+        square += w[k] * sums[0, k] ** 2
+    for k in range(len(w)):
+        rest += w[k] * (sums[0, k] - mean)
+    variance, first, second, unmatched, drawn = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(w)):
+        if w[k] > 0.0:
+            away = sums[0, k] - mean - rest  # twice: the sum may be large beside what it varies by
+            weight = w[k] * away
+            variance += weight * away
+            first += weight * sums[1, k]
+            second += weight * sums[2, k]
+            unmatched += weight * sums[3, k]
+            drawn += weight * (sums[0, k] - sums[1, k] - sums[2, k] - sums[3, k])
+            for i in range(len(shares)):
+                shares[i] += weight * log_p[k, i]
+    whole = variance if variance > ROUNDING * square else np.nan
+    for i in range(len(shares)):
+        shares[i] /= whole
+    return (
+        (variance if variance > ROUNDING * square else 0.0),
+        first / whole,
+        second / whole,
+        unmatched / whole,
+        drawn / whole,
     )
-    _mix(w, trace.n, *trace.innovations, weight, members, v, V, between)
-    matched = np.flatnonzero(weight)
-    return Mixtures(matched, *(part[matched] for part in (weight, members, v, V, between)))
 
 
 @kernel
-def _mix(w: Any, n: Any, v: Any, V: Any, weight: Any, members: Any, mean: Any, expected: Any, between: Any) -> None:
-    for i in range(len(weight)):
-        for k in range(len(w)):
-            if n[k, i] >= 0 and w[k] > 0.0:
-                weight[i] += w[k]
-                members[i] += 1.0
-                for a in range(2):
-                    mean[i, a] += w[k] * v[k, i, a]
-                    for b in range(2):
-                        expected[i, a, b] += w[k] * V[k, i, a, b]
-        for a in range(2):
-            mean[i, a] /= weight[i]
-            for b in range(2):
-                expected[i, a, b] /= weight[i]
-        for k in range(len(w)):
-            if n[k, i] >= 0 and w[k] > 0.0:
-                for a in range(2):
-                    for b in range(2):
-                        off = (v[k, i, a] - mean[i, a]) * (v[k, i, b] - mean[i, b])
-                        between[i, a, b] += w[k] * off / weight[i]
+def _wide(mixed: Any) -> tuple[float, float]:
+    """`WeightVariance.wide`: each observation counts by the weight of the particles that have matched it, if they are
+    two at least."""
+    total, first, second = 0.0, 0.0, 0.0
+    for i in range(len(mixed.weight)):
+        if mixed.members[i] > 1.0:
+            total += mixed.weight[i]
+            first += mixed.weight[i] * mixed.between[i, 0] / mixed.V[i, 0]
+            second += mixed.weight[i] * mixed.between[i, 2] / mixed.V[i, 2]
+    if total == 0.0:
+        return np.nan, np.nan
+    return math.sqrt(first / total), math.sqrt(second / total)
 
 
-def _wide(mixed: Mixtures) -> tuple[float, float]:
-    """Each observation counts by the weight of the particles that have matched it, if they are two at least."""
-    several = mixed.members > 1
-    if not several.any():
-        return math.nan, math.nan
-    between, expected = (np.diagonal(part[several], axis1=1, axis2=2) for part in (mixed.between, mixed.V))
-    first, second = np.sqrt(np.average(between / expected, axis=0, weights=mixed.weight[several])).tolist()
-    return first, second
+# Innovations ----------------------------------------------------------------------------------------------------------
+
+
+def innovation_statistics(mixed: Mixtures) -> InnovationStatistics:
+    """Predicted against actual innovations of the particles together."""
+    return InnovationStatistics(*_innovation_statistics(mixed))
+
+
+@kernel
+def _innovation_statistics(mixed: Any) -> tuple[float, float, float]:
+    first, second, count = 0.0, 0.0, 0.0
+    for i in range(len(mixed.weight)):
+        weight, (v_0, v_1) = mixed.weight[i], (mixed.v[i, 0], mixed.v[i, 1])
+        if weight > 0.0:
+            C_00 = mixed.V[i, 0] + mixed.between[i, 0]
+            C_01 = mixed.V[i, 1] + mixed.between[i, 1]
+            C_11 = mixed.V[i, 2] + mixed.between[i, 2]
+            cross = C_01 / C_00
+            first += weight * v_0**2 / C_00
+            second += weight * (v_1 - cross * v_0) ** 2 / (C_11 - cross * C_01)
+            count += weight
+    return first / count, second / count, count
+
+
+def innovation_widths(mixed: Mixtures, R: Floats) -> Floats:
+    """(Z,) deviation that the particles that matched an observation expect of it, over that of the sensor alone.
+
+    The geometric mean of both components, (det V / det R)^1/4, with R (Z, 2, 2) as it is believed for known features: 1
+    where pose and map add nothing, large where the pose is uncertain; NaN where nothing was matched, or V is as good as
+    singular.
+    """
+    widths = np.full(len(R), np.nan)
+    _innovation_widths(mixed, R, widths)
+    return widths
+
+
+@kernel
+def _innovation_widths(mixed: Any, R: Any, widths: Any) -> None:
+    for i in range(len(widths)):
+        if mixed.weight[i] > 0.0:
+            V = ((mixed.V[i, 0], mixed.V[i, 1]), (mixed.V[i, 1], mixed.V[i, 2]))
+            widths[i] = (determinant22(V) / determinant22(load22(R[i]))) ** 0.25
+
+
+# What was before, and what was left -----------------------------------------------------------------------------------
+
+
+def weights_before(trace: Trace) -> tuple[float, float]:
+    """N_eff (44) of the weights that the step began with, and how many observations were new, a particle's on the
+    average."""
+    return _weights_before(np.exp(trace.predicted.log_w), trace.n)
+
+
+@kernel
+def _weights_before(w: Any, n: Any) -> tuple[float, float]:
+    square, new = 0.0, 0.0
+    for k in range(len(w)):
+        square += w[k] * w[k]
+        for i in range(n.shape[1]):
+            new += w[k] * (n[k, i] == NEW)
+    return 1.0 / square, new
+
+
+def parents(ancestors: Ints) -> tuple[int, float]:
+    """How many particles of before have a descendant, and of all pairs of the particles after the step (K',) the share
+    that has one parent: sum N (N - 1) / (K' (K' - 1))."""
+    count = len(ancestors)
+    survivors, pairs = _parents(ancestors, np.zeros(int(ancestors.max()) + 1, np.int64))
+    return survivors, pairs / (count * (count - 1.0)) if count > 1 else math.nan
+
+
+@kernel
+def _parents(ancestors: Any, children: Any) -> Any:
+    """children (K,) is zero."""
+    survivors, pairs = 0, 0
+    for k in ancestors:
+        survivors += children[k] == 0
+        pairs += 2 * children[k]
+        children[k] += 1
+    return survivors, pairs

@@ -14,10 +14,11 @@ import numpy as np
 
 from app.diagnosis.marks import Marks, marks_of
 from slam.ancestry_variance import luck_of_pose
+from slam.checks import uncertain
 from slam.metrics import Measures
 from slam.phases import noise_of_known, observation_noise
-from slam.types import NEW, Bools, Floats, Frame, Ints, Params, Trace
-from slam.weights import innovation_statistics, innovation_widths, weight_variance
+from slam.types import Bools, Floats, Frame, Ints, Params, Trace
+from slam.weights import innovation_statistics, innovation_widths, mixtures, parents, weight_variance, weights_before
 
 
 class Numbers(NamedTuple):
@@ -172,36 +173,35 @@ def record_of(steps: Ints, names: Sequence[str], rows: Floats, observations: lis
 def weighed_in_turn(trace: Trace, params: Params) -> bool:
     """`Numbers.in_turn`.  Poses that are drawn before anybody looks have no covariance to correct (FastSLAM 1.0); those
     that are drawn after it have lost theirs by the end of the step (2.0); those that keep it weigh as asked (Dual)."""
-    if not trace.weighted.P.any():
+    if not uncertain(trace.weighted.P):
         return False
-    return params.weighting == "joint" if trace.resampled.P.any() else True
+    return params.weighting == "joint" if uncertain(trace.resampled.P) else True
 
 
 def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) -> Evidence:
     """The numbers of one step."""
-    weighted, best = trace.weighted, measures.best
-    why, innovations = weight_variance(trace), innovation_statistics(trace)
-    children = np.bincount(trace.ancestors).astype(float)
-    K, after = len(weighted.log_w), len(trace.ancestors)
-    prior, w = np.exp(trace.predicted.log_w), np.exp(weighted.log_w)
-    spread, own = (np.diagonal(C) for C in (measures.covariance, np.einsum("k,kab->ab", w, weighted.P)))
+    weighted, best, spread = trace.weighted, measures.best, measures.covariance
+    mixed = mixtures(trace)
+    why, innovations = weight_variance(trace, mixed), innovation_statistics(mixed)
+    (n_eff_before, new), (survivors, related) = weights_before(trace), parents(trace.ancestors)
+    own = np.exp(weighted.log_w) @ np.diagonal(weighted.P, axis1=1, axis2=2)
     luck = luck_of_pose(weighted, measures.estimate)
     R = noise_of_known(frame, observation_noise(frame, params), params)
     return Evidence(
         Numbers(
-            particles=float(K),
+            particles=float(len(weighted.log_w)),
             n_eff=trace.n_eff,
-            n_eff_before=1.0 / float(prior @ prior),
-            heaviest=float(w[best]),
+            n_eff_before=n_eff_before,
+            heaviest=math.exp(weighted.log_w[best]),
             resampled=float(trace.did_resample),
             threshold=params.resample_below,
-            survivors=float(np.count_nonzero(children)),
-            related=float(children @ (children - 1.0)) / (after * (after - 1.0)) if after > 1 else math.nan,
+            survivors=float(survivors),
+            related=related,
             diversity=measures.diversity,
             common_ancestor=measures.common_ancestor_age,
             observed=float(trace.n.shape[1]),
             matched=innovations.matched,
-            new=float(prior @ (trace.n == NEW).sum(axis=1)),
+            new=new,
             deviation=why.deviation,
             first=why.first,
             second=why.second,
@@ -212,8 +212,8 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             wide_second=why.wide[1],
             nis_first=innovations.first,
             nis_second=innovations.second,
-            spread_m=_root(0.5 * (spread[0] + spread[1])),
-            spread_rad=_root(spread[2]),
+            spread_m=_root(0.5 * (spread[0, 0] + spread[1, 1])),
+            spread_rad=_root(spread[2, 2]),
             own_m=_root(0.5 * (own[0] + own[1])),
             own_rad=_root(own[2]),
             position_error_m=measures.position_error_m,
@@ -230,10 +230,10 @@ def evidence_of(trace: Trace, measures: Measures, frame: Frame, params: Params) 
             nees_x=float(measures.nees_components[0]),
             nees_y=float(measures.nees_components[1]),
             nees_heading=float(measures.nees_components[2]),
-            monte_carlo_m=math.sqrt(0.5 * (luck[0] + luck[1])),
-            monte_carlo_rad=math.sqrt(luck[2]),
+            monte_carlo_m=_root(0.5 * (luck[0] + luck[1])),
+            monte_carlo_rad=_root(luck[2]),
         ),
-        Observations(why.observations, trace.n[best].copy(), innovation_widths(trace, R.sensor + R.model)),
+        Observations(why.observations, trace.n[best].copy(), innovation_widths(mixed, R.sensor + R.model)),
         marks_of(trace, frame, params),
     )
 

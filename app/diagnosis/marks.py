@@ -6,23 +6,30 @@ filter was made.  Only what a step reports is read: `signatures` says what they 
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slam.association import associate
-from slam.checks import corrected_before, twins, undrawn
+from slam.checks import (
+    contradiction,
+    corrected_before,
+    inequality,
+    largest_angle,
+    miscount,
+    misplaced_first,
+    twins,
+    undrawn,
+)
 from slam.map_store import Maps
 from slam.phases import noise_of_known, observation_noise
 from slam.resampling import wants_resampling
-from slam.types import NEW, Floats, Frame, Ints, ObservationNoise, Params, Particles, Trace
+from slam.types import Frame, Ints, ObservationNoise, Params, Particles, Trace
 
 SAMPLE = 2
 """Particles that are looked at one by one, evenly spread over all."""
-
-ROUNDING = 1e-9
-"""Relative, or [rad]: two computations of one number differ by less."""
 
 
 class Marks(NamedTuple):
@@ -65,67 +72,32 @@ class Marks(NamedTuple):
 
 def marks_of(trace: Trace, frame: Frame, params: Params) -> Marks:
     """The marks of one step; frame and parameters are those that the filter was given."""
-    weighted, after = trace.weighted, trace.resampled
-    K, log_p = len(weighted.log_w), trace.log_likelihood.sum(axis=1)
+    predicted, weighted, after, did = trace.predicted, trace.weighted, trace.resampled, trace.did_resample
+    K, several = len(weighted.log_w), did and len(weighted.log_w) > 1
     R = observation_noise(frame, params)
-    R_known = noise_of_known(frame, R, params)
-    sample = np.unique(np.linspace(0, K - 1, SAMPLE).astype(int))
-    angles = np.abs(trace.innovations.v[..., 1])
-    did, first_lived, first_expected = trace.did_resample, math.nan, math.nan
-    if did and K > 1:
-        first_lived = float((trace.selected == 0).any())
-        first_expected = float(len(trace.selected) * np.exp(weighted.log_w[0]))
-    gained = weighted.maps.counts - trace.predicted.maps.counts - (trace.n == NEW).sum(axis=1)
+    R_known, sample = noise_of_known(frame, R, params), _sample(K)
+    contradicted, exponent = contradiction(predicted.log_w, weighted.log_w, trace.log_likelihood)
+    w = np.exp(weighted.log_w)
     return Marks(
-        unequal=float(np.abs(after.log_w + math.log(len(after.log_w))).max()) if did else math.nan,
-        contradicted=contradicted(trace.predicted.log_w, weighted.log_w, trace.log_likelihood),
-        exponent=float(np.fmax.reduce(log_p)),
-        angle=float(np.nanmax(angles)) if np.isfinite(angles).any() else math.nan,
+        unequal=inequality(after.log_w) if did else math.nan,
+        contradicted=contradicted,
+        exponent=exponent,
+        angle=largest_angle(trace.innovations.v),
         otherwise=_otherwise(trace, frame, R_known, params, sample),
         early=corrected_before(trace, frame, sample),
         undrawn=undrawn(trace, frame, R, params.believed),
-        gained=float(np.abs(gained).max()),
+        gained=float(miscount(predicted.maps.counts, weighted.maps.counts, trace.n)),
         twins=twins(trace, frame, R_known),
         needless=float(not wants_resampling(trace.n_eff, K, params.resample_below)) if did else math.nan,
-        first_lived=first_lived,
-        first_expected=first_expected,
-        misplaced=misplaced_first(np.exp(weighted.log_w), trace.selected, params) if did and K > 1 else math.nan,
+        first_lived=float((trace.selected == 0).any()) if several else math.nan,
+        first_expected=float(len(trace.selected) * w[0]) if several else math.nan,
+        misplaced=misplaced_first(w, trace.selected, params.resampler) if several else math.nan,
     )
 
 
-def contradicted(before: Floats, after: Floats, log_p: Floats) -> float:
-    """`Marks.contradicted` of log weights (K,) and log likelihoods (K, Z); particles without a weight before, for which
-    something is impossible, or that are impossible beside others, say nothing."""
-    added = log_p.sum(axis=1)
-    if (added == np.inf).any():
-        return math.nan
-    with np.errstate(over="ignore", invalid="ignore"):
-        expected = before + added
-        told = np.isfinite(expected - np.fmax.reduce(expected))
-    if told.sum() < 2:
-        return math.nan
-    if not np.isfinite(after[told]).all():
-        return math.inf
-    off = after[told] - expected[told]
-    parts = (np.abs(log_p[told]).sum(axis=1), np.abs(before[told]), np.abs(after[told]))
-    return float((off.max() - off.min()) / (1.0 + sum(float(part.max()) for part in parts)))
-
-
-def misplaced_first(w: Floats, selected: Ints, params: Params) -> float:
-    """`Marks.misplaced`.  Systematic resampling has one random number u, and place j is given to the particle in whose
-    share of the weights (j + u) / K lies: so each place says from where to where u is.  Residual resampling makes the
-    whole part of the expected number of copies for certain."""
-    K = len(selected)
-    if params.resampler == "systematic":
-        ends = K * np.concatenate([[0.0], np.cumsum(w) / w.sum()])
-        low, high = ends[selected] - np.arange(K), ends[selected + 1] - np.arange(K)
-        from_others = low[1:].max(initial=0.0), high[1:].min(initial=1.0)
-        possible = from_others[0] <= from_others[1] + K * ROUNDING
-        return float(selected[0] == 0 and possible and from_others[0] > high[0] + K * ROUNDING)
-    if params.resampler == "residual":
-        certain = np.floor(K * w - K * ROUNDING)
-        return float(selected[0] == 0 and (np.bincount(selected, minlength=len(w)) < certain).any())
-    return math.nan
+@functools.cache
+def _sample(K: int) -> Ints:
+    return np.unique(np.linspace(0, K - 1, SAMPLE).astype(int))
 
 
 def _some(particles: Particles, sample: Ints) -> Particles:

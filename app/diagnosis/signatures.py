@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from app.diagnosis.evidence import Record
-from app.diagnosis.marks import ROUNDING, Marks
+from app.diagnosis.marks import Marks
+from slam.checks import ROUNDING
 from slam.types import Floats, Ints
 
 LEVEL = 1e-6

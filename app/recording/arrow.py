@@ -6,7 +6,8 @@ points a step that takes several times longer than all the rest.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +21,31 @@ _STRIPS3 = rr.components.LineStrip3DBatch([]).as_arrow_array().type
 _VECTORS = rr.components.Position3DBatch([]).as_arrow_array().type
 _TENSOR = rr.components.TensorDataBatch(np.zeros(1, np.float32)).as_arrow_array()
 _TRIANGLES = rr.components.TriangleIndicesBatch([]).as_arrow_array().type
+_SCALAR = rr.Scalars.descriptor_scalars()
+
+Components = list[rr.DescribedComponentBatch]
+"""What an entity is given at one time."""
+
+
+class _Made(NamedTuple):
+    """A batch that has its array already."""
+
+    array: pa.Array
+
+    def as_arrow_array(self) -> pa.Array:
+        """For Rerun."""
+        return self.array
+
+
+def scalars(values: Sequence[float]) -> list[Components]:
+    """What `rr.Scalars` makes of each of them, for an entity of its own."""
+    column = pa.array(values, pa.float64())
+    return [[rr.DescribedComponentBatch(_Made(column[i : i + 1]), _SCALAR)] for i in range(len(values))]
+
+
+def named(**arrays: pa.Array) -> Components:
+    """What `rr.AnyValues` makes of them."""
+    return [rr.DescribedComponentBatch(_Made(array), rr.ComponentDescriptor(name)) for name, array in arrays.items()]
 
 
 def vectors(xy: Floats, z: float | Floats = 0.0) -> pa.Array:

@@ -162,10 +162,10 @@ def weight_bars(p: Particles, shown: Limits, rgb: colours.RGB) -> rr.BarChart:
     return rr.BarChart.from_fields(values=arrow.bars(share[sample(len(share), shown.bars)]), color=rgb)
 
 
-def evidence(found: Evidence) -> rr.AnyValues:
+def evidence(found: Evidence) -> arrow.Components:
     """What a diagnosis is made of, for whoever reads the recording; no view shows it."""
     shares, features, widths = found.observations
-    return rr.AnyValues(
+    return arrow.named(
         numbers=pa.array(found.row, pa.float64()),
         shares=pa.array(shares),
         features=pa.array(features),

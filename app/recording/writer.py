@@ -17,7 +17,7 @@ import rerun as rr
 from app import ancestry, colours
 from app.events import Watch
 from app.pace import Pace
-from app.recording import charts, landmarks, scene, texts, walls
+from app.recording import arrow, charts, landmarks, scene, texts, walls
 from app.recording.blueprint import MAP_ASPECT, Shown, layout_of_branches
 from app.recording.ground import Extent, Scanned, Survey, estimates, extent_of, is_charted, known, observer
 from app.recording.limits import due, limits_for, thinned
@@ -227,8 +227,9 @@ class Writer:
 
         self._stream.set_time(stage + 2, *now)
         for key, update in step.filters.items():
-            for metric in METRICS:
-                self._stream.log(f"plots/{metric.name}/{key}", rr.Scalars(metric.value(update)))
+            plotted = arrow.scalars([metric.value(update) for metric in METRICS])
+            for metric, value in zip(METRICS, plotted, strict=True):
+                self._stream.log(f"plots/{metric.name}/{key}", value)
             self._stream.log(f"evidence/{key}", charts.evidence(update.evidence))
             self._write_ancestors(key, update, step, stage + 2)
         self._write_guides(step)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slam.checks import COARSE, corrected_before, twins, undrawn
+from slam.checks import COARSE, contradiction, corrected_before, misplaced_first, twins, undrawn
 from slam.estimators import ESTIMATORS
 from slam.features import Point, inverse
 from slam.phases import noise_of_known, observation_noise
-from slam.types import NEW, Frame, ObservationNoise, Params, Trace
+from slam.resampling import SCHEMES, normalise
+from slam.types import NEW, Frame, ObservationNoise, Params, ResamplerName, Trace
 from tests.slam import plain
 
 SIBLINGS = ["dfs", "fs2", "fs1"]
@@ -54,6 +55,52 @@ def test_right_filters(key: str) -> None:
         assert all(math.isnan(value) or value == 0.0 for value in found)
         told += np.isfinite(found)
     np.testing.assert_array_equal(told > 0, [True, True, key != "dfs"])
+
+
+# Weights --------------------------------------------------------------------------------------------------------------
+
+
+def test_weights_are_contradicted_by_more_than_rounding() -> None:
+    """Beside the largest number that is in them, whichever that is."""
+    rng = np.random.default_rng(3)
+    for scale, added in ((-4e8, 1.0), (-1.0, -4e8), (-4e8, -4e8), (-1e300, 1.0), (-1.0, -1e300)):
+        before, _ = normalise(scale * rng.random(30))
+        log_p = added * rng.random((30, 4))
+        after, _ = normalise(before + log_p.sum(axis=1))
+        assert contradiction(before, after, log_p)[0] < 1e-12
+        size = np.abs(log_p).sum(axis=1).max() + np.abs(before).max() + np.abs(after).max()
+        after[3] += 1e-6 * size
+        assert 1e-7 < contradiction(before, after, log_p)[0] < 1e-5
+        after[3] = -np.inf
+        assert contradiction(before, after, log_p)[0] == np.inf
+
+
+def test_what_is_impossible_contradicts_nothing() -> None:
+    before, after = np.log([0.5, 0.25, 0.25]), np.log([0.5, 0.25, 0.25])
+    assert math.isnan(contradiction(before, after, np.array([[-np.inf], [-np.inf], [0.0]]))[0])
+    assert math.isnan(contradiction(before, after, np.array([[np.inf], [0.0], [0.0]]))[0])
+    assert math.isnan(contradiction(before, after, np.array([[np.nan], [np.nan], [0.0]]))[0])
+    huge = np.array([[1.7e308], [-1.7e308], [1.7e308]])
+    after, _ = normalise(before + huge[:, 0])
+    assert after[1] == -np.inf
+    assert contradiction(before, after, huge)[0] == 0.0
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_where_a_scheme_puts_the_first_particle(scheme: ResamplerName) -> None:
+    """Over many weights the scheme never misplaces it; that the mistake does shows where the scheme has no choice."""
+    rng, caught, due = np.random.default_rng(5), 0, 0
+    for _ in range(300):
+        w = rng.dirichlet(np.full(12, 0.7))
+        selected = SCHEMES[scheme](rng, w, 12)
+        assert not misplaced_first(w, selected, scheme) > 0.0
+        if selected[0] != 0:
+            due += 1
+            caught += misplaced_first(w, np.concatenate([[0], selected[1:]]), scheme) == 1.0
+    assert due > 50
+    least = {"systematic": 0.75, "residual": 0.3}.get(scheme, 0.0)
+    assert caught >= least * due
+    assert least or not caught
 
 
 # Corrected before -----------------------------------------------------------------------------------------------------

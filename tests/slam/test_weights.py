@@ -13,7 +13,7 @@ from slam.features import Point
 from slam.linalg import LOG_TWO_PI
 from slam.phases import unweighed
 from slam.types import IGNORED, NEW, Floats, Innovations, Ints, Params, Particles, Trace
-from slam.weights import innovation_statistics, weight_variance
+from slam.weights import innovation_statistics, innovation_widths, mixtures, parents, weight_variance, weights_before
 from tests.slam import plain
 
 SIBLINGS = ["fs1", "fs2", "dfs"]
@@ -183,13 +183,13 @@ def test_nothing_to_tell() -> None:
     new = np.full((2, 1), NEW)
     same = made(np.full((2, 1), -3.3), np.full(2, 0.5), new, unweighed(new).innovations)
     assert weight_variance(same).deviation == 0.0
-    assert math.isnan(innovation_statistics(same).first)
-    assert innovation_statistics(same).matched == 0.0
+    assert math.isnan(innovation_statistics(mixtures(same)).first)
+    assert innovation_statistics(mixtures(same)).matched == 0.0
 
 
 def test_innovations_of_a_consistent_filter_are_as_expected() -> None:
     """EKF-SLAM in the plain world, 60 runs."""
-    found = [innovation_statistics(t) for seed in range(60) for t in traces_of("ekf", seed=seed)]
+    found = [innovation_statistics(mixtures(t)) for seed in range(60) for t in traces_of("ekf", seed=seed)]
     assert np.nanmean([f.first for f in found]) == pytest.approx(1.0, abs=0.15)
     assert np.nanmean([f.second for f in found]) == pytest.approx(1.0, abs=0.15)
 
@@ -200,7 +200,8 @@ def test_innovations_of_particles_together_by_hand() -> None:
     v, w = rng.normal(size=(3, 2, 2)), np.array([0.2, 0.3, 0.5])
     V = np.tile([[2.0, 0.5], [0.5, 1.0]], (3, 2, 1, 1)) * np.array([1.0, 2.0, 3.0])[:, None, None, None]
     n = np.array([[0, NEW], [0, IGNORED], [0, 1]])
-    found = innovation_statistics(made(np.zeros((3, 2)), w, n, Innovations(v, V)))
+    mixed = mixtures(made(np.zeros((3, 2)), w, n, Innovations(v, V)))
+    found = innovation_statistics(mixed)
     C = np.einsum("k,kab->ab", w, V[:, 0]) + np.cov(v[:, 0].T, aweights=w, ddof=0)
     means, covariances = [w @ v[:, 0], v[2, 1]], [C, V[2, 1]]
     nis = [m @ np.linalg.solve(c, m) for m, c in zip(means, covariances, strict=True)]
@@ -208,3 +209,39 @@ def test_innovations_of_particles_together_by_hand() -> None:
     assert found.first + found.second == pytest.approx((nis[0] + 0.5 * nis[1]) / 1.5)
     first = [m[0] ** 2 / c[0, 0] for m, c in zip(means, covariances, strict=True)]
     assert found.first == pytest.approx((first[0] + 0.5 * first[1]) / 1.5)
+    expected = np.einsum("k,kab->ab", w, V[:, 0]), V[2, 1]
+    R = np.array([np.eye(2), np.diag([0.5, 8.0])])
+    widths = [(np.linalg.det(m) / np.linalg.det(r)) ** 0.25 for m, r in zip(expected, R, strict=True)]
+    np.testing.assert_allclose(innovation_widths(mixed, R), widths)
+
+
+def test_what_nobody_has_matched_has_no_width() -> None:
+    n = np.array([[0, NEW], [1, IGNORED]])
+    v, V = np.ones((2, 2, 2)), np.tile(np.eye(2), (2, 2, 1, 1))
+    mixed = mixtures(made(np.zeros((2, 2)), np.array([0.5, 0.5]), n, Innovations(v, V)))
+    np.testing.assert_array_equal(innovation_widths(mixed, np.tile(np.eye(2), (2, 1, 1))), [1.0, np.nan])
+    assert innovation_statistics(mixed).matched == 1.0
+
+
+def test_an_impossible_particle_has_no_part_in_the_weights() -> None:
+    """It is left out, with what it has matched; the innovations of all together have it."""
+    trace, others = traces_of("fs1")[3], np.delete(np.arange(40), 7)
+    log_p, seen = trace.log_likelihood.copy(), Innovations(*(part[others] for part in trace.innovations))
+    log_p[7, 0] = -np.inf
+    prior = np.exp(trace.predicted.log_w)[others]
+    left = made(log_p[others], prior / prior.sum(), trace.n[others], seen)
+    found, expected = (weight_variance(t, mixtures(t)) for t in (trace._replace(log_likelihood=log_p), left))
+    np.testing.assert_allclose(np.hstack(found), np.hstack(expected), rtol=1e-9)
+    whole = weight_variance(trace)
+    assert whole.deviation != found.deviation
+    np.testing.assert_allclose(np.hstack(whole), np.hstack(weight_variance(trace, mixtures(trace))), rtol=1e-9)
+
+
+def test_what_was_before_and_whose_children_are_left() -> None:
+    w, n = np.array([0.5, 0.25, 0.25]), np.array([[NEW, 0], [NEW, NEW], [IGNORED, 3]])
+    n_eff, new = weights_before(made(np.zeros((3, 2)), w, n, unweighed(n).innovations))
+    assert n_eff == pytest.approx(1.0 / 0.375)
+    assert new == pytest.approx(1.0)
+    assert parents(np.array([4, 0, 4, 4, 2])) == (3, pytest.approx(3 * 2 / (5 * 4)))
+    assert parents(np.arange(6)) == (6, 0.0)
+    assert math.isnan(parents(np.array([3]))[1])
