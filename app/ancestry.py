@@ -83,6 +83,12 @@ def lags(steps: int) -> Ints:
     return np.unique(np.minimum([0, *np.rint(spread).astype(np.int64), steps], steps))
 
 
+def brief(update: FilterUpdate) -> str:
+    """How many founders are left, in few words."""
+    left = np.count_nonzero(np.bincount(update.genealogy.lineage))
+    return f"{left} founder{'' if left == 1 else 's'}"
+
+
 def words(update: FilterUpdate) -> str:
     """How many ancestors are left, and when the living had one in common."""
     genealogy = update.genealogy
@@ -92,7 +98,7 @@ def words(update: FilterUpdate) -> str:
     age = genealogy.common_ancestor_age()
     text = f"{left} of {K} left after {steps(lag)}"
     if age is None:
-        return f"{text}; {np.count_nonzero(np.bincount(genealogy.lineage))} founders"
+        return f"{text}; {brief(update)}"
     return f"{text}; one ancestor {f'{steps(age)} ago' if age else 'now'}"
 
 

@@ -300,7 +300,7 @@ def _and(names: Sequence[str]) -> str:
 
 def _pair(name: str, a: Any, b: Any) -> str:
     """Both, with as many digits as it takes to tell them apart."""
-    short = [_shown(value, ".6g") for value in (a, b)]
+    short = [_shown(value, ".9g") for value in (a, b)]
     text = " -> ".join(short if short[0] != short[1] else [_shown(value, "") for value in (a, b)])
     return f"{text} rad" if name.rpartition(".")[2] in RADIANS else text
 

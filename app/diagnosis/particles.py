@@ -64,11 +64,15 @@ def _carry(record: Record) -> float:
     return float(record["particles"][-1] if record["resampled"][-1] > 0.0 else record["n_eff"][-1])
 
 
+def _when(below: float) -> str:
+    return f"before N_eff is below {percent(below)} of K" if below > 0.0 else "at all"
+
+
 def _resample(case: Case, left: float, carry: float, below: float) -> Finding:
     text = (
         f"Only {carry:.2g} of {case.record['particles'][-1]:g} particles carry the weight, and they are not resampled"
     )
-    text += f" before N_eff is below {percent(below)} of K: the others are in vain. Resample earlier."
+    text += f" {_when(below)}: the others are in vain. Resample earlier."
     tries = (f"--from {case.record.steps[0]} --set resample_below={USUAL_BELOW:g}",)
     numbers = {"founders_left": left, "level": float(ENOUGH), "carry": carry}
     return Finding("advice", "resample earlier", text, (), numbers, warns=True, tries=tries)

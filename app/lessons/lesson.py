@@ -111,8 +111,10 @@ def _written(text: str, equations: Drawn) -> str:
 
 
 def percent(value: float) -> str:
-    """`4 %`, or `-` for NaN."""
-    return "-" if math.isnan(value) else f"{100 * value:.0f} %"
+    """`4 %`, `0.1 %`, or `-` for NaN."""
+    if math.isnan(value):
+        return "-"
+    return f"{100 * value:.0f} %" if value == 0.0 or value >= 0.01 else f"{100 * value:.1g} %"
 
 
 def metres(value: float) -> str:

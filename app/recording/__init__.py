@@ -28,7 +28,7 @@ A recording has the application id `dual-fastslam`, holds all filters of a sessi
     /genealogy/<filter>             ancestry of the whole run: the tree that leads to the living, an even sample of
                                     them, and of those that died, dim; the colour is that of the founder
     /genealogy/<filter>/lags        distinct ancestors by steps back, a curve; as numbers `ancestors`, `steps_back`
-    /genealogy/<filter>/words       the same in words
+    /genealogy/<filter>/words       how many founders are left, in words
     /genealogy/cursor               the present step in the picture
     /ancestors/<filter>             `ancestors` (K,): of which particle before the step each one after it is a copy, at
                                     the first step, and at all others where that is not 0, 1 ... K - 1.  Never thinned

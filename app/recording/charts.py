@@ -127,7 +127,7 @@ def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]
         [CURVES, HEIGHT + 4.0],
         *([v, HEIGHT + 4.0] for v in x),
     ]
-    labels = ["ancestors left, by steps back", "1", *map(str, marks), "now", *map(str, at)]
+    labels = ["ancestors left", "1", *map(str, marks), "now", *map(str, at)]
     grid = rr.LineStrips2D([box, *lines], colors=(60, 60, 60), radii=rr.Radius.ui_points(0.5), draw_order=0.0)
     return grid, _labels(places, labels, GREY)
 

@@ -229,8 +229,7 @@ def repair(path: str | Path, out: str | Path | None = None) -> Path:
         check=False,
     )
     if done.returncode != 0 or not out.exists():
-        reason = (done.stderr.strip().splitlines() or ["nothing in it can be read"])[-1]
-        raise RecordingError(f"{path} cannot be repaired: {reason}")
+        raise RecordingError(f"{path} cannot be read: it is damaged, and nothing in it can be made out")
     return out
 
 
@@ -256,8 +255,8 @@ def _readable(path: Path, below: Sequence[str]) -> Iterator[tuple[list[Chunk], b
         repaired = repair(path, Path(folder) / "repaired.rrd")
         try:
             yield _chunks(repaired, below), True
-        except (RuntimeError, ValueError) as error:
-            raise RecordingError(f"{path} cannot be read: {error}") from None
+        except (RuntimeError, ValueError):
+            raise RecordingError(f"{path} cannot be read: it ends before anything was recorded in it") from None
 
 
 def _chunks(path: Path, below: Sequence[str] = ()) -> list[Chunk]:

@@ -509,7 +509,7 @@ class Writer:
                 curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
                 numbers = rr.AnyValues(steps_back=back, ancestors=pa.array(left, pa.int32()))
                 self._stream.log(f"genealogy/{f.key}/lags", curve, numbers)
-                self._stream.log(f"genealogy/{f.key}/words", charts.words(f"{f.title}: {ancestry.words(update)}"))
+                self._stream.log(f"genealogy/{f.key}/words", charts.words(f"{f.title}: {ancestry.brief(update)}"))
         if self._axis:
             self._stream.log("genealogy/cursor", charts.cursor(step.index, self._axis, first, last))
 

@@ -97,7 +97,7 @@ class ConsistencyStudy:
             *(text for head in heads for text in (head, "in band")),
             "NIS 1st (1)",
             "NIS 2nd (1)",
-            "founders left",
+            "share of founders left",
         )
         results: dict[str, Any] = {}
         for key in self.filters if found else ():

@@ -159,7 +159,7 @@ def one_run(task: Task) -> Outcome:
     found = _diagnosed(setting, setting.particles, task.seed)
     causes = [f for f in found.findings if f.topic == "cause" and not f.kind.startswith("loss")]
     advice = next(f for f in found.findings if f.kind in ADVICE)
-    left, asked = advice.numbers["founders_left"], int(advice.numbers["particles"])
+    left, asked = advice.numbers["founders_left"], int(advice.numbers.get("particles", 0))
     if advice.kind == "more particles in vain":
         asked = MORE * setting.particles
     tried = min(asked, MOST) if advice.kind in (*ASKED, "more particles in vain") else 0

@@ -69,6 +69,8 @@ def _read(text: str) -> Setting:
         raise UsageError(f"--set is {text!r}; expected NAME=VALUE, such as particles=500")
     kinds = _kinds()
     plain = name.strip().lstrip("-").replace("-", "_")
+    if plain == "filters":
+        raise UsageError(f"--set {text}: the filters are those of the recording; dualslam run makes one with others")
     if plain not in kinds:
         raise UsageError(f"--set {text}: there is no setting {name!r}{suggestion(plain, kinds)}; {_expected(kinds)}")
     if kinds[plain] is None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from app.compare.numbers import Comparison, Filter
+from app.compare.numbers import Column, Comparison, Filter
 from app.recording.metrics import LONERS
 from app.rows import ROWS, Row, number
 from app.whatif.fork import Plan
@@ -60,8 +60,7 @@ def _of_filter(one: Filter, first: int) -> str:
     for row in _rows(one.key, tuple(SAID)):
         text = _instead(row, before.values[row.key], after.values[row.key])
         if row.key == "ancestors_end":
-            shares = (float(column.series["ancestors_share"][-1]) for column in (before, after))
-            text += " ({1:.0%} of them instead of {0:.0%})".format(*shares)
+            text += _of_how_many(before, after)
         parts += [f"{SAID[row.key]} {text}"] if text else []
         if row.key == "ancestors_end":
             shares = (float(np.median(column.series["n_eff_share"])) for column in (before, after))
@@ -69,6 +68,12 @@ def _of_filter(one: Filter, first: int) -> str:
     if after.parts_at > first:
         parts.append(f"up to step {after.parts_at - 1} it made no difference")
     return "; ".join(parts)
+
+
+def _of_how_many(before: Column, after: Column) -> str:
+    """Where the two have not the same number of particles; no share, which more of them make smaller by itself."""
+    counts = [column.series["ancestors"][0] / column.series["ancestors_share"][0] for column in (before, after)]
+    return "" if counts[0] == counts[1] else f" (of {counts[1]:.0f} instead of {counts[0]:.0f})"
 
 
 def _rows(key: str, names: tuple[str, ...]) -> list[Row]:

@@ -172,7 +172,7 @@ def test_interruption_saves_what_is_there(tmp_path):
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     recording = tmp_path / "out" / "rotation.rrd"
     began = time.monotonic()
-    while not (recording.exists() and recording.stat().st_size > 300_000) and time.monotonic() - began < 60:
+    while not (recording.exists() and recording.stat().st_size > 700_000) and time.monotonic() - began < 60:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
