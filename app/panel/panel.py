@@ -15,7 +15,7 @@ import rich
 import viser
 
 from app.errors import sentence
-from app.live.diagnoses import NOTHING, Diagnoses
+from app.live.diagnoses import NOTHING, Diagnoses, Place, Teller, Told
 from app.live.engine import Engine, Status
 from app.live.trend import Trend
 from app.options import FILTERS, MISTAKES, PRESETS
@@ -75,7 +75,7 @@ TRUNK = "the first run"
 MOST_SEED = 2**53 - 1
 
 
-NEVER = (-1, "", False, "", "")
+NEVER: tuple[Any, ...] = ()
 """What the page shows before it shows anything."""
 
 
@@ -182,7 +182,6 @@ class Panel:
         self._view = view(self.server) if view else None
         if self._view is not None:
             engine.add(self._view.trail)
-        self._diagnoses = diagnoses
         self._notes = notes
         """What is to be said beside where the session stands."""
         self._link = True
@@ -194,6 +193,7 @@ class Panel:
         self._own = threading.local()
         self._closing = threading.Event()
         self._wake = threading.Event()
+        self._teller = None if diagnoses is None else Teller(diagnoses, self._wake.set)
         self.engine_speed()
         self._build(engine.status)
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
@@ -213,6 +213,8 @@ class Panel:
         self._closing.set()
         self._wake.set()
         self._thread.join(5.0)
+        if self._teller is not None:
+            self._teller.close()
         self.server.stop()
 
     # --- Building ---------------------------------------------------------------------------------------------------
@@ -505,18 +507,20 @@ class Panel:
             if time() - handle.update_timestamp > REST:
                 _set(handle, "value", value)
         self._own.busy = False
-        shown = (status.changed, recorded, self._told(), pick, judged)
+        place = Place(status.number, status.branch, status.step)
+        told = self._teller.told(place, status.playing) if self._teller is not None else None
+        shown = (status.changed, recorded, self._told(), pick, judged, told)
         if shown == self._shown and not status.playing:
             return
         self._shown = shown
         self._own.busy = True
         try:
             with self.server.atomic():
-                self._show(status, recorded, pick, judged)
+                self._show(status, recorded, pick, judged, told)
         finally:
             self._own.busy = False
 
-    def _show(self, status: Status, recorded: str, pick: str, judged: str) -> None:
+    def _show(self, status: Status, recorded: str, pick: str, judged: str, told: Told | None) -> None:
         notes = self._notes()
         _set(self.headline, "content", now.headline(status) + (f" - {notes}" if notes else ""))
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
@@ -532,8 +536,7 @@ class Panel:
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)
         self.plots.show(self._trend.of(status.branch, status.step), now.knows_truth(status.info))
-        if self._diagnoses is not None:
-            told = self._diagnoses.of(status.branch, status.step, now=not status.playing)
+        if told is not None:
             _set(self.diagnosis, "content", told.text)
             steps = (NO_STEP, *map(str, told.steps))
             if tuple(self.named.options) != steps:
