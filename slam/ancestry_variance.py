@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from slam._jit import kernel
-from slam.geometry import wrap_all
+from slam.geometry import wrap
 from slam.types import Floats, Ints, Particles
 
 APART = 0.8
@@ -53,9 +53,16 @@ def ancestry_variance(deviations: Floats, w: Floats, families: Ints, apart: floa
 
 def luck_of_pose(weighted: Particles, estimate: Floats) -> Floats:
     """(3,) [m^2, m^2, rad^2] of x, y and heading of the `estimate` (3,), the mean of weighted particles."""
-    away = weighted.s - estimate
-    away[:, 2] = wrap_all(away[:, 2])
+    away = np.empty_like(weighted.s)
+    _subtract(weighted.s, estimate, away)
     return ancestry_variance(away, np.exp(weighted.log_w), weighted.lineage)
+
+
+@kernel
+def _subtract(s: Any, estimate: Any, away: Any) -> None:
+    for i in range(len(s)):
+        away[i, 0], away[i, 1] = s[i, 0] - estimate[0], s[i, 1] - estimate[1]
+        away[i, 2] = wrap(s[i, 2] - estimate[2])
 
 
 @kernel

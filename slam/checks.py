@@ -160,6 +160,17 @@ def largest_angle(v: Any) -> float:
     return most if found else np.nan
 
 
+@kernel
+def disagreement(n: Any, sample: Any, expected: Any) -> int:
+    """How many observations a sample (m,) of particles has paired, of n (K, Z), where others (m, Z) are expected not to
+    be, and the other way round; new and ignored are two things, and which feature it is does not matter."""
+    count = 0
+    for m in range(len(sample)):
+        for i in range(n.shape[1]):
+            count += min(n[sample[m], i], 0) != min(expected[m, i], 0)
+    return count
+
+
 def corrected_before(trace: Trace, frame: Frame, sample: Ints) -> float:
     """Share of a sample (m,) of particles whose first innovation is that of a feature as the step leaves it.
 
@@ -368,69 +379,66 @@ def twins(trace: Trace, frame: Frame, R: ObservationNoise) -> float:
     are counted where the correction of what each of them had before, for its own pose, gives others: at the pose that
     they were predicted at, and at the one that they have now.  NaN where features are not corrected.
     """
-    predicted, after, (before, left) = trace.predicted, trace.resampled, (trace.predicted.maps, trace.weighted.maps)
-    if not trace.n.size or uncertain(after.P):
+    predicted, after, n = trace.predicted, trace.resampled, trace.n
+    if not n.size or uncertain(after.P):
         return math.nan
-    i = _most_matched(trace.n, np.zeros(trace.n.shape[1], np.int64))
+    before, left = predicted.maps, trace.weighted.maps
     who, there = np.empty(MANY, np.int64), np.empty((MANY, min(left.store.dim, 3)))
-    pool, n = left.store.pool, trace.n[:, i]
-    count = _correctors(pool, left.roots, left.depth, n, _merged(trace), trace.selected, who, there)
+    matched, pool = np.zeros(n.shape[1], np.int64), left.store.pool
+    i, count = _correctors(pool, left.roots, left.depth, n, _merged(trace), trace.selected, matched, who, there)
     if not count:
         return math.nan
-    noise = ObservationNoise(R.sensor[i : i + 1], R.model)
     return float(
         _twins(
-            frame.feature, pool, before.roots, before.depth, n, predicted.s, after.s, trace.selected, frame.z[i], noise,
+            frame.feature, pool, before.roots, before.depth, n, predicted.s, after.s, trace.selected, i, frame.z, R,
             who[:count], there,
         )
     )  # fmt: skip
 
 
 @kernel
-def _most_matched(n: Any, matched: Any) -> int:
-    """The observation that most particles have matched; matched (Z,) is zero."""
+def _correctors(
+    pool: Any, roots: Any, depth: Any, n: Any, merged: Any, selected: Any, matched: Any, who: Any, there: Any
+) -> tuple[int, int]:
+    """The observation i that most have matched, and how many particles are looked at that have corrected its feature.
+
+    Into `who` their places, one of each, and into `there` what the feature is now in what a correction changes, or
+    turns; matched (Z,) is zero.
+    """
+    count = 0
     for k in range(len(n)):
         for i in range(len(matched)):
             matched[i] += n[k, i] >= 0
-    return int(np.argmax(matched))
-
-
-@kernel
-def _correctors(
-    pool: Any, roots: Any, depth: Any, n: Any, merged: Any, selected: Any, who: Any, there: Any
-) -> Any:  # fmt: skip
-    """Into `who` the places of those that have corrected feature n (K,), one of each, and into `there` what it is now
-    in what a correction changes, or turns; returns how many they are."""
-    count = 0
+    i = int(np.argmax(matched))
     for j in range(len(selected)):
         k = selected[j]
-        if count == len(who) or (j > 0 and selected[j - 1] == k) or n[k] < 0 or _has_merged(merged, k):
+        if count == len(who) or (j > 0 and selected[j - 1] == k) or n[k, i] < 0 or _has_merged(merged, k):
             continue
-        row, _ = _entry(pool, roots[k], depth, n[k])
+        row, _ = _entry(pool, roots[k], depth, n[k, i])
         for m in range(there.shape[1]):
             there[count, m] = row[m]
         who[count] = j
         count += 1
-    return count
+    return i, count
 
 
 @kernel
 def _twins(
-    feature: Any, pool: Any, roots: Any, depth: Any, n: Any, predicted: Any, after: Any, selected: Any, z: Any, R: Any,
-    who: Any, there: Any,
+    feature: Any, pool: Any, roots: Any, depth: Any, n: Any, predicted: Any, after: Any, selected: Any, i: Any, z: Any,
+    R: Any, who: Any, there: Any,
 ) -> Any:  # fmt: skip
-    count, sensor, model = 0, load22(R.sensor[0]), load22(R.model)
+    count, sensor, model = 0, load22(R.sensor[i]), load22(R.model)
     for b in range(1, len(who)):
         for a in range(b):
             k, its = selected[who[b]], selected[who[a]]
             if not _same(there[a], there[b]) or k == its:
                 continue
-            theta, Sigma = _entry(pool, roots[k], depth, n[k])
-            other, Sigma_other = _entry(pool, roots[its], depth, n[its])
+            theta, Sigma = _entry(pool, roots[k], depth, n[k, i])
+            other, Sigma_other = _entry(pool, roots[its], depth, n[its, i])
             apart = True
             for s, s_other in ((predicted[k], predicted[its]), (after[who[b]], after[who[a]])):
-                one = _corrected(feature, theta, Sigma, load3(s), z, sensor, model)
-                two = _corrected(feature, other, Sigma_other, load3(s_other), z, sensor, model)
+                one = _corrected(feature, theta, Sigma, load3(s), z[i], sensor, model)
+                two = _corrected(feature, other, Sigma_other, load3(s_other), z[i], sensor, model)
                 apart &= _differ(one, two)
             count += apart
             break

@@ -6,7 +6,6 @@ particles once, and what several functions need is an argument, `Mixtures`.
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -138,7 +137,7 @@ def weight_variance(trace: Trace, mixed: Mixtures | None = None) -> WeightVarian
     if not possible:
         return WeightVariance(nan, np.full(Z, nan), nan, nan, nan, nan, nan, (nan, nan))
     some, inside = _sum_over_observations(
-        w, trace.log_likelihood, trace.n, *trace.innovations, trace.temper, _gates(Z), sums
+        w, trace.log_likelihood, trace.n, *trace.innovations, trace.temper, chi_square_gates(0.99, Z), sums
     )
     variance, first, second, unmatched, drawn = _covariances(w, trace.log_likelihood, sums, shares)
     if mixed is None or possible < K:
@@ -149,11 +148,6 @@ def weight_variance(trace: Trace, mixed: Mixtures | None = None) -> WeightVarian
 
 ROUNDING = 1e-20
 """Of the mean square of a sum of logarithms, the variance that rounding alone leaves."""
-
-
-@functools.cache
-def _gates(Z: int) -> Floats:
-    return chi_square_gates(0.99, Z)
 
 
 @kernel

@@ -16,6 +16,7 @@ from slam.association import associate
 from slam.checks import (
     contradiction,
     corrected_before,
+    disagreement,
     inequality,
     largest_angle,
     miscount,
@@ -116,4 +117,4 @@ def _otherwise(trace: Trace, frame: Frame, R: ObservationNoise, params: Params, 
     if not trace.n.size or _may_be_joint(trace.predicted.maps):
         return math.nan
     expected = associate(_some(trace.predicted, sample), frame, R, params)
-    return float((np.minimum(expected, 0) != np.minimum(trace.n[sample], 0)).sum())
+    return float(disagreement(trace.n, sample, expected))

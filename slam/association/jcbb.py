@@ -23,6 +23,7 @@ with 15 observations and 100 pairs (landmarks every 3 m, a pose known to 1 m and
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -59,11 +60,13 @@ class Work(NamedTuple):
     """(Z,) the branch to explore next at each level: an index into `order`; `last` leaves the observation unpaired."""
 
 
+@functools.lru_cache(maxsize=256)
 def chi_square_gates(confidence: float, max_pairs: int) -> Floats:
     """(max_pairs + 1,) the distance that m correct pairs exceed with probability 1 - confidence; 0 for no pair (27).
 
     The chi-square distribution of 2m degrees of freedom is the gamma distribution of shape m and scale 2.  Finite
-    even for confidence 1, because infinite is the distance of what cannot be.
+    even for confidence 1, because infinite is the distance of what cannot be.  Kept, since every step of every filter
+    asks several times: nobody writes into it.
     """
     gates = np.zeros(max_pairs + 1)
     gates[1:] = 2.0 * gammaincinv(np.arange(1, max_pairs + 1), confidence)
