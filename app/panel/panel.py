@@ -322,12 +322,6 @@ class Panel:
         self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
         self.preset.on_update(lambda _: self._set_preset())
         self.parameters = self.controls.add(filter_controls(source))
-        self.mistake = gui.add_dropdown(
-            "mistake",
-            (NO_MISTAKE, *MISTAKES),
-            initial_value=status.info.mistake or NO_MISTAKE,
-            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
-        )
 
     def _build_travel(self, status: Status) -> None:
         gui, engine = self._gui, self._engine
@@ -366,6 +360,12 @@ class Panel:
                 initial_value=self._lesson or NO_LESSON,
                 hint="A world with a question and an answer, after Reset.",
             )
+        self.mistake = gui.add_dropdown(
+            "mistake",
+            (NO_MISTAKE, *MISTAKES),
+            initial_value=status.info.mistake or NO_MISTAKE,
+            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
+        )
         self.seed = gui.add_number(
             "seed",
             min(status.info.seed, MOST_SEED),
