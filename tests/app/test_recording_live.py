@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
+import itertools
 import os
 import time
 from functools import partial
@@ -11,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from app import session
@@ -26,6 +29,16 @@ from slam.estimators import ESTIMATORS
 from tests.app.test_recording import Watch
 
 STEPS, K, KEYS = 14, 20, ("dfs", "fs2")
+
+PICTURED = ("/world/", "/weights/", "/hypotheses/", "/genealogy/")
+"""Where there is what is not a number."""
+
+AGAIN = [f"/{entity}" for key in KEYS for entity in (
+    f"world/{key}/map", f"world/{key}/path", f"genealogy/{key}/lags", f"genealogy/{key}/words",
+)]  # fmt: skip
+"""What a file that is closed may have of its last step once more, since it is written with what lies behind."""
+
+NO_COMPONENTS = ("stage", "step", "sim_time", "rerun.controls.RowId")
 
 
 @pytest.fixture(scope="module")
@@ -50,14 +63,37 @@ def written(info: SessionInfo, path: Path, steps: list[tuple[SessionStep, Detail
     return Recording(path)
 
 
+def moments(recording: Recording, entity: str) -> dict[str, list[int]]:
+    """By component, the moments ("stage") at which an entity has something, as often as it has."""
+    found: dict[str, list[int]] = {}
+    for chunk in recording.chunks():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and not chunk.is_static:
+            times = batch.column("stage").cast(pa.int64()).to_pylist()
+            for name in (name for name in batch.schema.names if name not in NO_COMPONENTS):
+                there = batch.column(name).is_valid().to_pylist()
+                found.setdefault(name, []).extend(itertools.compress(times, there))
+    return {name: sorted(times) for name, times in found.items()}
+
+
+def repeated(recording: Recording) -> dict[tuple[str, int], int]:
+    """How often an entity has anything of a moment, where that is more than once."""
+    found = {}
+    for entity in recording.entities:
+        for times in moments(recording, entity).values():
+            often = {moment: count for moment, count in collections.Counter(times).items() if count > 1}
+            found |= {(entity, moment): max(count, found.get((entity, moment), 0)) for moment, count in often.items()}
+    return found
+
+
 # How much of a step ---------------------------------------------------------------------------------------------------
 
 
 def test_of_a_step_there_may_be_its_particles_alone(
     info: SessionInfo, steps: list[SessionStep], tmp_path: Path
 ) -> None:
-    """The first and the fifth are whole; of the others there are numbers, and what the step itself shows.  What lies
-    behind is told again when the file is closed."""
+    """The first and the fifth are whole; of the others there are numbers, and what the step itself shows.  When the
+    file is closed there is of the last one what lies behind, and what grows with that, the map and the path, again."""
     whole = {1, 5}
     recording = written(info, tmp_path / "a.rrd", [(s, "usual" if s.index in whole else "present") for s in steps])
     resampled = {key: {s.index for s in steps if s.filters[key].trace.did_resample} for key in KEYS}
@@ -76,29 +112,40 @@ def test_of_a_step_there_may_be_its_particles_alone(
             (f"/world/{key}/lineages", "LineStrips3D:strips"),
             (f"/genealogy/{key}", "LineStrips2D:strips"),
         ):
-            assert {moment for moment, _ in recording.rows(entity, component, "step")} == {*whole, STEPS}
-        for entity, component in (
-            (f"/world/{key}/map", "Points3D:positions"),
-            (f"/world/{key}/path", "LineStrips3D:strips"),
-            (f"/world/{key}/associations", "LineStrips3D:strips"),
-            (f"/weights/{key}", "BarChart:values"),
-            (f"/plots/n_eff/{key}", "Scalars:scalars"),
+            assert [moment for moment, _ in recording.rows(entity, component, "step")] == sorted({*whole, STEPS})
+        for entity, component, again in (
+            (f"/world/{key}/map", "Points3D:positions", [STEPS]),
+            (f"/world/{key}/path", "LineStrips3D:strips", [STEPS]),
+            (f"/world/{key}/associations", "LineStrips3D:strips", []),
+            (f"/weights/{key}", "BarChart:values", []),
+            (f"/plots/n_eff/{key}", "Scalars:scalars", []),
         ):
-            found = {moment for moment, _ in recording.rows(entity, component, "step")}
-            assert found == set(range(1, STEPS + 1))
+            rows = recording.rows(entity, component, "step")
+            assert [moment for moment, _ in rows] == [*range(1, STEPS + 1), *again]
+            assert rows[-1][1] == rows[STEPS - 1][1]  # the same, if it is there again
+    assert repeated(recording) == dict.fromkeys([(entity, 3 * STEPS) for entity in (*AGAIN, "/genealogy/cursor")], 2)
 
 
 def test_numbers_are_without_any_picture(info: SessionInfo, steps: list[SessionStep], tmp_path: Path) -> None:
-    """But of the last step, when the file is closed."""
+    """But of the last step, when the file is closed: there is what the step shows, and then what lies behind."""
     recording = written(info, tmp_path / "a.rrd", [(step, "numbers") for step in steps])
+    pictures = [e for e in recording.entities if e.startswith(PICTURED) and recording.timelines(e)]
+    assert len(pictures) > 20
+    for entity in pictures:
+        at = {moment for times in moments(recording, entity).values() for moment in times}
+        assert at <= {3 * STEPS - 1, 3 * STEPS}, entity
+    surroundings = ["odometry/path", "scan", "truth/path", "truth/robot"]
+    again = [*AGAIN, *(f"/world/{entity}" for entity in surroundings)]
+    assert repeated(recording) == dict.fromkeys([(entity, 3 * STEPS) for entity in again], 2)
     for key in KEYS:
+        resampled = [3 * STEPS] if steps[-1].filters[key].trace.did_resample else []
+        assert moments(recording, f"/world/{key}/particles")["Points3D:positions"] == [3 * STEPS - 1, *resampled]
         for entity, component in (
-            (f"/world/{key}/particles", "Points3D:positions"),
-            (f"/world/{key}/path", "LineStrips3D:strips"),
             (f"/world/{key}/maps", "Points3D:positions"),
-            (f"/weights/{key}", "BarChart:values"),
+            (f"/world/{key}/lineages", "LineStrips3D:strips"),
+            (f"/genealogy/{key}", "LineStrips2D:strips"),
         ):
-            assert {moment for moment, _ in recording.rows(entity, component, "step")} == {STEPS}
+            assert moments(recording, entity)[component] == [3 * STEPS]
         assert len(recording.series(f"/plots/n_eff/{key}")[0]) == STEPS
     assert recording.events()
 
