@@ -225,7 +225,7 @@ def test_what_nobody_has_matched_has_no_width() -> None:
 
 def test_an_impossible_particle_has_no_part_in_the_weights() -> None:
     """It is left out, with what it has matched; the innovations of all together have it."""
-    trace, others = traces_of("fs1")[3], np.delete(np.arange(40), 7)
+    trace, others = traces_of("fs1")[1], np.delete(np.arange(40), 7)
     log_p, seen = trace.log_likelihood.copy(), Innovations(*(part[others] for part in trace.innovations))
     log_p[7, 0] = -np.inf
     prior = np.exp(trace.predicted.log_w)[others]
