@@ -18,7 +18,7 @@ from app.live.engine import Begun, Engine, Forked, Stepped
 from app.live.settings import Settings
 from app.live.trend import Trend
 from app.pace import Pace
-from app.panel.panel import NO_STEP, Panel
+from app.panel.panel import NEWEST_STEP, NO_STEP, Panel
 from app.types import SessionInfo, SessionStep
 from scenarios.registry import build, worlds
 from slam.estimators import ESTIMATORS
@@ -223,7 +223,7 @@ def stands(live: tuple[Engine, Panel, Diagnoses], step: int, branch: str | None 
     told = diagnoses.of(place)
     assert told is not None
     soon(lambda: panel.diagnosis.content == told.text)
-    soon(lambda: list(panel.named.options) == [NO_STEP, *map(str, told.steps)])
+    soon(lambda: list(panel.named.options) == [NO_STEP, *map(str, told.steps), NEWEST_STEP])
     assert "No diagnosis" not in told.text
     assert "nan" not in told.text
     assert panel._said == ""
@@ -276,3 +276,19 @@ def test_a_person_changes_everything_while_it_runs(live: tuple[Engine, Panel, Di
     assert place == Place(1, "", 3)
     assert "Up to step 3." in panel.diagnosis.content
     assert [step for step, _ in particles(diagnoses, place, "fs2")] == [1, 2, 3]
+
+
+def test_steps_that_are_named_can_be_looked_at_and_the_newest_again(live: tuple[Engine, Panel, Diagnoses]) -> None:
+    engine, panel, _ = live
+    engine.step(40)
+    stands(live, 40)
+    named = [step for step in panel.named.options if step not in (NO_STEP, NEWEST_STEP, "40")]
+    for _ in range(2):
+        panel.named.value = named[0]
+        stands(live, int(named[0]))
+        panel.named.value = NEWEST_STEP
+        stands(live, 40)
+        soon(lambda: panel.named.value == NO_STEP)
+    for nonsense in ("1e9", "", "12345"):
+        panel.named.value = nonsense
+    stands(live, 40)
