@@ -8,6 +8,7 @@ import numpy as np
 
 from app import colours
 from app.types import FilterUpdate
+from scenarios.words import counted
 from slam.genealogy import Branch, Genealogy
 from slam.map_store import Maps
 from slam.types import Floats, Ints
@@ -85,21 +86,21 @@ def lags(steps: int) -> Ints:
 
 def brief(update: FilterUpdate) -> str:
     """How many founders are left, in few words."""
-    left = np.count_nonzero(np.bincount(update.genealogy.lineage))
-    return f"{left} founder{'' if left == 1 else 's'}"
+    return counted(int(np.count_nonzero(np.bincount(update.genealogy.lineage))), "founder")
 
 
 def words(update: FilterUpdate) -> str:
     """How many ancestors are left, and when the living had one in common."""
-    genealogy = update.genealogy
-    K = genealogy.particles
-    lag = min(RECENT, genealogy.steps)
-    (left,) = genealogy.distinct([lag])
-    age = genealogy.common_ancestor_age()
-    text = f"{left} of {K} left after {steps(lag)}"
-    if age is None:
-        return f"{text}; {brief(update)}"
-    return f"{text}; one ancestor {f'{steps(age)} ago' if age else 'now'}"
+    genealogy, age = update.genealogy, update.genealogy.common_ancestor_age()
+    if genealogy.particles == 1:
+        return "1 particle"
+    text = f"{genealogy.particles} particles, "
+    if age is not None and age <= RECENT:
+        return text + f"all from one of {counted(age, 'step')} ago"
+    if genealogy.steps > RECENT:
+        (left,) = genealogy.distinct([RECENT])
+        text += f"from {left} of {RECENT} steps ago and "
+    return text + (f"from {brief(update)}" if age is None else f"all from one of {counted(age, 'step')} ago")
 
 
 def scarcest(maps: Maps) -> str:
@@ -110,11 +111,6 @@ def scarcest(maps: Maps) -> str:
         return ""
     i = int(there[np.argmin(copies[there] / holders[there])])
     return (
-        f"feature {i} has {copies[i]} hypothes{'is' if copies[i] == 1 else 'es'} left among {holders[i]} maps, "
-        f"half of the features at most {np.median(copies[there]):.0f}"
+        f"feature {i} has the fewest hypotheses left, {copies[i]} in {counted(int(holders[i]), 'map')} "
+        f"(median of all features: {np.median(copies[there]):.0f})"
     )
-
-
-def steps(count: int) -> str:
-    """So many steps."""
-    return f"{count} step{'' if count == 1 else 's'}"

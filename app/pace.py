@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 
+from app.compiling import CompileClock
+
 
 class Pace:
     """Of something that may wait."""
@@ -23,10 +25,11 @@ class Pace:
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """While it is done."""
+        """While it is done.  That kernels are prepared for it happens once, and does not make it wait."""
         began = monotonic()
-        try:
-            yield
-        finally:
-            now = monotonic()
-            self._next = now + (now - began) * (1.0 / self._share - 1.0)
+        with CompileClock() as preparing:
+            try:
+                yield
+            finally:
+                now = monotonic()
+                self._next = now + max(now - began - preparing.seconds, 0.0) * (1.0 / self._share - 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+from bisect import bisect_right
 from typing import NamedTuple
 
 import numpy as np
@@ -34,13 +34,8 @@ class Collector:
 
     def begin(self, info: SessionInfo) -> None:
         """A session begins."""
-        self.start(info)
-
-    def start(self, info: SessionInfo, before: Collector | None = None, until: int = 0) -> None:
-        """The same, of a branch of what another one has collected, up to a step."""
         self._walls, self._log = isinstance(info.source.feature, Wall), info.source.kind == "log"
-        rows = {} if before is None else before._rows
-        self._rows = {key: [row for row in found if row.step <= until] for key, found in rows.items()}
+        self._rows = {}
 
     def step(self, step: SessionStep) -> None:
         """A step, or once more one that is there."""
@@ -52,10 +47,17 @@ class Collector:
     def end(self) -> None:
         """Nothing to do."""
 
-    def cases(self, until: float = math.inf) -> list[Case]:
-        """The filters that have made a step, in the usual order, up to a step; parameters are those of their last."""
-        found = {key: [row for row in self._rows.get(key, ()) if row.step <= until] for key in ESTIMATORS}
-        return [self._case(key, rows) for key, rows in found.items() if rows]
+    def part(self, until: int) -> Collector:
+        """What it has up to a step, as another one, which may go on by itself."""
+        part = Collector()
+        part._walls, part._log = self._walls, self._log
+        ends = {key: bisect_right(rows, until, key=lambda row: row.step) for key, rows in self._rows.items()}
+        part._rows = {key: self._rows[key][:end] for key, end in ends.items()}
+        return part
+
+    def cases(self) -> list[Case]:
+        """The filters that have made a step, in the usual order; parameters are those of their last."""
+        return [self._case(key, rows) for key in ESTIMATORS if (rows := self._rows.get(key))]
 
     def _case(self, key: str, rows: list[Row]) -> Case:
         steps = np.array([row.step for row in rows])

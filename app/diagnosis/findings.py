@@ -32,7 +32,7 @@ class Case(NamedTuple):
     walls: bool
     """Whether the features are walls, or else landmarks."""
     params: Mapping[str, Any]
-    """`slam.types.Params` by name: of a recording as the run began, of a session as they are."""
+    """`slam.types.Params` by name: those of its last step."""
     record: Record
     measured: bool = False
     """Whether where the robot was is a measurement, as in a log, with errors of its own."""

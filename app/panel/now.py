@@ -47,25 +47,31 @@ def message(status: Status) -> str:
 
 
 def beside_parent(status: Status, trend: Trend, trunk: str) -> str:
-    """How a branch differs at the present step from what it left: a line of markdown; empty where nothing is to say."""
+    """How a branch differs at the present step from what it left: a markdown table; empty where nothing is to say."""
     parents = {name: (parent, at) for name, parent, at, _ in status.branches}
     parent, left_at = parents.get(status.branch, ("", status.step))
     if not status.branch or status.step <= left_at:
         return ""
     here, there = trend.at(status.branch, status.step), trend.at(parent, status.step)
-    told = [f"{ESTIMATORS[key].title}: {_instead(key, here[key], there[key])}" for key in here if key in there]
-    if not told:
+    both = [key for key in here if key in there]
+    if not both:
         return f"*{parent or trunk} has no step {status.step} to compare with*"
-    return f"**Beside {parent or trunk}**, at step {status.step}: {'; '.join(told)}"
+    judged = any(not math.isnan(here[key].error) for key in both)
+    names = ["", *(("error, m",) if judged else ()), "N_eff", "diversity"]
+    lines = [f"**Beside {parent or trunk}**, whose numbers at step {status.step} are in brackets:\n", *_head(names)]
+    return "\n".join([*lines, *(_beside(key, here[key], there[key], judged) for key in both)])
 
 
-def _instead(key: str, here: Now, there: Now) -> str:
-    parts = [
-        f"error {_number(here.error)} m instead of {_number(there.error)} m" if not math.isnan(here.error) else "",
-        f"N_eff {here.n_eff:.0%} instead of {there.n_eff:.0%}" if key != "ekf" else "",
-        f"diversity {here.diversity:.0%} instead of {there.diversity:.0%}" if key != "ekf" else "",
-    ]
-    return ", ".join(part for part in parts if part)
+def _beside(key: str, here: Now, there: Now, judged: bool) -> str:
+    cells = [f"{_number(here.error)} ({_number(there.error)})"] if judged else []
+    of_many = (f"{here.n_eff:.0%} ({there.n_eff:.0%})", f"{here.diversity:.0%} ({there.diversity:.0%})")
+    cells += of_many if key != "ekf" else ("", "")
+    return f"| {ESTIMATORS[key].title} | {' | '.join(cells)} |"
+
+
+def _head(names: list[str]) -> list[str]:
+    """Of a markdown table: the first column is words, the others are numbers."""
+    return [f"| {' | '.join(names)} |", "|---" + "|--:" * (len(names) - 1) + "|"]
 
 
 def bold(text: str) -> str:
@@ -77,7 +83,7 @@ def table(status: Status) -> str:
     """A markdown table of the filters' measures."""
     judged = knows_truth(status.info)
     names = ["", "K", "N_eff", "diversity", *(("error, m", "NEES") if judged else ()), "features", "ms"]
-    rows = [f"| {' | '.join(names)} |", "|---" + "|--:" * (len(names) - 1) + "|"]
+    rows = _head(names)
     step = status.taken.step if status.taken else None
     for key, update in (step.filters if step else {}).items():
         m, K = update.measures, len(update.trace.weighted.log_w)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from time import monotonic, time
 from typing import Any, NamedTuple, Protocol
 
@@ -15,11 +16,12 @@ import rich
 import viser
 
 from app.errors import sentence
-from app.live.diagnoses import NOTHING, Diagnoses
+from app.live.diagnoses import NOTHING, Diagnoses, Place, Teller, Told
 from app.live.engine import Engine, Status
 from app.live.trend import Trend
 from app.options import FILTERS, MISTAKES, PRESETS
 from app.panel import now
+from app.panel.camera import SHARE
 from app.panel.controls import REST, Controls, filter_controls, noise_controls, preset_changes
 from app.panel.descent import Ancestry
 from app.panel.guard import guarded_server
@@ -32,7 +34,10 @@ RATE = 8.0
 """[1/s]"""
 
 WIDTH, HEIGHT = 580, 410
-"""[px] of the controls, at the lower edge; the picture is above them."""
+"""[px] of the controls at least, at the lower edge; the picture is above them."""
+
+WIDEST, TALLEST = 760, 1200
+"""[px] of the controls at most, in a browser that has room for more."""
 
 SAID = 10.0
 """[s] that the page says what came of something."""
@@ -66,8 +71,8 @@ STEP, BACK, RUN_TO = "Step", "Step back", "Run to event"
 
 NO_PRESET, NO_LESSON, NO_MISTAKE = "-", "-", "none"
 
-NO_STEP = "-"
-"""Of the steps that a diagnosis names, none."""
+NO_STEP, NEWEST_STEP = "-", "the newest"
+"""Of the steps that a diagnosis names none, and none of them."""
 
 TRUNK = "the first run"
 """What people call the branch without a name."""
@@ -75,7 +80,7 @@ TRUNK = "the first run"
 MOST_SEED = 2**53 - 1
 
 
-NEVER = (-1, "", False, "", "")
+NEVER: tuple[Any, ...] = ()
 """What the page shows before it shows anything."""
 
 
@@ -179,10 +184,13 @@ class Panel:
         rich.get_console().quiet = True  # viser says there where it listens, and when it stops
         self.server = guarded_server(host, port, LABEL)
         self._gui = self.server.gui
+        self._gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        self._gui.main_panel.float(x=0, y=-1, width=WIDTH, height=HEIGHT)
+        self._gui.set_panel_label(LABEL)
+        self.server.on_client_connect(_place)
         self._view = view(self.server) if view else None
         if self._view is not None:
             engine.add(self._view.trail)
-        self._diagnoses = diagnoses
         self._notes = notes
         """What is to be said beside where the session stands."""
         self._link = True
@@ -191,9 +199,15 @@ class Panel:
         """What came of something that was asked for, and when."""
         self._shown = NEVER
         self._built = -1
+        """Which session it is about (`Status.number`)."""
+        self._source, self._taught = engine.status.info.source, lesson
+        """The world and the lesson that it was built for."""
+        self._parts: list[Any] = []
+        """What it is made of, the outermost only."""
         self._own = threading.local()
         self._closing = threading.Event()
         self._wake = threading.Event()
+        self._teller = None if diagnoses is None else Teller(diagnoses, self._wake.set)
         self.engine_speed()
         self._build(engine.status)
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
@@ -213,18 +227,17 @@ class Panel:
         self._closing.set()
         self._wake.set()
         self._thread.join(5.0)
+        if self._teller is not None:
+            self._teller.close()
         self.server.stop()
 
     # --- Building ---------------------------------------------------------------------------------------------------
 
     def _build(self, status: Status) -> None:
         """The whole page, for the world that the session is in."""
-        gui = self._gui
-        gui.reset()
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
-        gui.main_panel.float(x=0, y=-1, width=WIDTH, height=HEIGHT)
-        gui.set_panel_label(LABEL)
-        source = status.info.source
+        gui, source = self._gui, status.info.source
+        while self._parts:  # and not all at once, by which viser would put the panel elsewhere
+            self._parts.pop().remove()
         self.controls = Controls(gui, self._put, self._engine.desk.read)
         self.headline = gui.add_markdown(now.headline(status))
         self._build_transport()
@@ -249,12 +262,21 @@ class Panel:
             self._build_noise(source)
         with tabs.add_tab("Filter"):
             self._build_filter(source, status)
-        with tabs.add_tab("Time travel"):
+        with tabs.add_tab("Time"):
             self._build_travel(status)
         with tabs.add_tab("Record"):
             self._build_record()
         with tabs.add_tab("View"):
             self._build_view(status)
+        self._parts += [self.headline, self.play, self.go, self.message, tabs]
+        self._built, self._source, self._taught = status.number, source, self._lesson
+        if self._view is not None:
+            self._view.reset(status.info)
+
+    def _begin_again(self, status: Status) -> None:
+        """Another session in the same world: nobody is taken to another tab."""
+        _set(self.seed, "value", min(status.info.seed, MOST_SEED))
+        _set(self.mistake, "value", status.info.mistake or NO_MISTAKE)
         self._built = status.number
         if self._view is not None:
             self._view.reset(status.info)
@@ -269,7 +291,7 @@ class Panel:
     def _build_diagnosis(self) -> None:
         gui = self._gui
         self.named: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "look at step", [NO_STEP], hint="Go to one of the steps that are named below."
+            "look at step", [NO_STEP], hint="Go to one of the steps that are named below, or back to the newest."
         )
         self.named.on_update(lambda _: self._look_at_named())
         self.diagnosis = gui.add_markdown(NOTHING)
@@ -300,18 +322,10 @@ class Panel:
         self.preset = gui.add_dropdown("preset", (NO_PRESET, *PRESETS), hint="A set of parameters that go together.")
         self.preset.on_update(lambda _: self._set_preset())
         self.parameters = self.controls.add(filter_controls(source))
-        self.mistake = gui.add_dropdown(
-            "mistake",
-            (NO_MISTAKE, *MISTAKES),
-            initial_value=status.info.mistake or NO_MISTAKE,
-            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
-        )
 
     def _build_travel(self, status: Status) -> None:
         gui, engine = self._gui, self._engine
-        gui.add_markdown(
-            "Go back to any step, change anything, and run on: what follows is a branch, beside what was before."
-        )
+        gui.add_markdown("Go back to any step, change anything, and run on: that is a branch.")
         self.time = gui.add_slider("step", 0, max(status.total, 1), 1, status.step, hint="Where the session stands.")
         self.time.on_update(lambda _: self._travel(self.time.value))
         self.newest = gui.add_button("To the newest step")
@@ -346,6 +360,12 @@ class Panel:
                 initial_value=self._lesson or NO_LESSON,
                 hint="A world with a question and an answer, after Reset.",
             )
+        self.mistake = gui.add_dropdown(
+            "mistake",
+            (NO_MISTAKE, *MISTAKES),
+            initial_value=status.info.mistake or NO_MISTAKE,
+            hint="A classic one, made on purpose after Reset, in the filters in which one can make it.",
+        )
         self.seed = gui.add_number(
             "seed",
             min(status.info.seed, MOST_SEED),
@@ -427,8 +447,11 @@ class Panel:
             self._engine.go(int(min(max(step, 0), self._engine.status.newest)))
 
     def _look_at_named(self) -> None:
-        if not getattr(self._own, "busy", False) and self.named.value != NO_STEP:
-            self._engine.pause()
+        if getattr(self._own, "busy", False):
+            return
+        if self.named.value == NEWEST_STEP:
+            self._engine.go_newest()
+        elif self.named.value in self.named.options and self.named.value != NO_STEP:
             self._travel(int(self.named.value))
 
     def _toggle_recording(self) -> None:
@@ -493,7 +516,8 @@ class Panel:
         status = self._engine.status
         recorded = self._records.describe()
         if status.number != self._built:
-            self._build(status)
+            same = self._source is status.info.source and self._taught == self._lesson
+            (self._begin_again if same else self._build)(status)
         if self._view is not None:
             self._view.show(status)
         pick = self._view.describe_pick(status) if self._view is not None else ""
@@ -505,18 +529,20 @@ class Panel:
             if time() - handle.update_timestamp > REST:
                 _set(handle, "value", value)
         self._own.busy = False
-        shown = (status.changed, recorded, self._told(), pick, judged)
+        place = Place(status.number, status.branch, status.step)
+        told = self._teller.told(place, status.playing) if self._teller is not None else None
+        shown = (status.changed, recorded, self._told(), pick, judged, told)
         if shown == self._shown and not status.playing:
             return
         self._shown = shown
         self._own.busy = True
         try:
             with self.server.atomic():
-                self._show(status, recorded, pick, judged)
+                self._show(status, recorded, pick, judged, told)
         finally:
             self._own.busy = False
 
-    def _show(self, status: Status, recorded: str, pick: str, judged: str) -> None:
+    def _show(self, status: Status, recorded: str, pick: str, judged: str, told: Told | None) -> None:
         notes = self._notes()
         _set(self.headline, "content", now.headline(status) + (f" - {notes}" if notes else ""))
         _set(self.message, "content", now.bold(self._said) if self._told() else now.message(status))
@@ -532,13 +558,26 @@ class Panel:
         _set(self.recorded, "content", recorded)
         _set(self.pick, "content", pick or NO_PICK)
         self.plots.show(self._trend.of(status.branch, status.step), now.knows_truth(status.info))
-        if self._diagnoses is not None:
-            told = self._diagnoses.of(status.branch, status.step, now=not status.playing)
+        if told is not None:
             _set(self.diagnosis, "content", told.text)
-            steps = (NO_STEP, *map(str, told.steps))
+            steps = (NO_STEP, *map(str, told.steps), NEWEST_STEP)
             if tuple(self.named.options) != steps:
                 self.named.options = steps
+            if self.named.value != str(status.step):  # it can be chosen again
+                _set(self.named, "value", NO_STEP)
         self.ancestry.show(status)
+
+
+def _place(client: viser.ClientHandle) -> None:
+    """Give the controls of a browser that comes the room that it has; later a person may drag them as they like."""
+    with suppress(AssertionError, TypeError, ValueError, OverflowError):  # it has told nonsense
+        width, height = size_in(client.camera.image_width, client.camera.image_height)
+        client.gui.main_panel.float(x=0, y=-1, width=width, height=height)
+
+
+def size_in(width: float, height: float) -> tuple[int, int]:
+    """[px] of the controls, in a browser that has so many; the picture keeps its share of the height."""
+    return max(WIDTH, min(round(width), WIDEST)), max(HEIGHT, min(round((1.0 - SHARE) * height), TALLEST))
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

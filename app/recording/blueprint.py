@@ -349,7 +349,7 @@ def _ancestry(branch: Shown) -> rrb.Spatial2DView:
         origin=branch.at("genealogy"),
         contents=["+ $origin/frame/**", "+ $origin/cursor", *(f"+ $origin/{f.key}/**" for f in _many(branch))],
         background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(-6.0, CURVES + CURVES_WIDTH + 6.0), y_range=(-1.0, HEIGHT + 12.0)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-8.0, CURVES + CURVES_WIDTH + 8.0), y_range=(-1.0, HEIGHT + 12.0)),
     )
 
 

@@ -112,7 +112,8 @@ def look_of_lag_curve(rgb: colours.RGB) -> rr.LineStrips2D:
 
 
 def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
-    """The box of the curves, and numbers on their axes."""
+    """The box of the curves, and numbers on their axes; few and short ones, since views are narrow: the lower edge is
+    one ancestor."""
     box = _box(CURVES, CURVES_TOP, CURVES_WIDTH, HEIGHT - CURVES_TOP)
     decades = [10**i for i in range(1, 8)]
     at = [d for d in decades if d < steps]
@@ -122,12 +123,11 @@ def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]
     lines = [[[v, CURVES_TOP], [v, HEIGHT]] for v in x] + [[[CURVES, v], [CURVES + CURVES_WIDTH, v]] for v in y]
     places = [
         [CURVES + 0.5 * CURVES_WIDTH, 0.25 * CURVES_TOP],
-        [CURVES - 4.0, HEIGHT],
         *([CURVES - 4.0, v] for v in y),
         [CURVES, HEIGHT + 4.0],
         *([v, HEIGHT + 4.0] for v in x),
     ]
-    labels = ["ancestors left", "1", *map(str, marks), "now", *map(str, at)]
+    labels = ["ancestors", *map(str, marks), "now", *map(str, at)]
     grid = rr.LineStrips2D([box, *lines], colors=(60, 60, 60), radii=rr.Radius.ui_points(0.5), draw_order=0.0)
     return grid, _labels(places, labels, GREY)
 
@@ -137,7 +137,7 @@ def time_marks(last: Band, axis: int) -> rr.Points2D:
     every = next(f * 10**i for i in range(8) for f in (1, 2, 5) if axis <= 6 * f * 10**i)
     marks = range(0, axis + 1, every)
     places = [[m * WIDTH / axis, last.bottom + 4.0] for m in marks]
-    return _labels(places, [f"{m}" if m else "step 0" for m in marks], GREY)
+    return _labels(places, [f"{m}" if m else "#0" for m in marks], GREY)
 
 
 GREY: colours.RGB = (150, 150, 150)

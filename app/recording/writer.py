@@ -509,7 +509,8 @@ class Writer:
                 curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
                 numbers = rr.AnyValues(steps_back=back, ancestors=pa.array(left, pa.int32()))
                 self._stream.log(f"genealogy/{f.key}/lags", curve, numbers)
-                self._stream.log(f"genealogy/{f.key}/words", charts.words(f"{f.title}: {ancestry.brief(update)}"))
+                said = f"{ESTIMATORS[f.key].title}: {ancestry.brief(update)}"  # no mistakes: views are narrow
+                self._stream.log(f"genealogy/{f.key}/words", charts.words(said))
         if self._axis:
             self._stream.log("genealogy/cursor", charts.cursor(step.index, self._axis, first, last))
 

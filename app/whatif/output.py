@@ -8,7 +8,8 @@
      "filters": {key: {
         "title": text, "step": [...],
         "differs_from_step": n | null,                  null: the changed way is the unchanged one, bit for bit
-        "unchanged": {"particles": K, "numbers": {key: number | null, ...}, "series": {name: [...], ...}},
+        "unchanged": {"particles": K, "numbers": {key: number | null, ...}, "series": {name: [...], ...},
+                      "nees_infinite": n},              steps at which it is, which are not in the mean
         "changed": {the same},
         "differences": {key: number | null, ...},       changed - unchanged
         "seeds": {key: {                                empty without --seeds
@@ -20,7 +21,8 @@
   with `n_eff_share`, of K, and `ancestors`, how many of the particles after step `from` have descendants, and
   `ancestors_share`, of those particles.
 - `seeds` has no number of the run's own random numbers: they were chosen for what happened with them.  `lower`: how
-  often the changed way had the smaller number with the same random numbers; `luck`: two-sided sign test.
+  often the changed way had the smaller number with the same random numbers; `luck`: two-sided sign test, null
+  where nothing is drawn after the fork.
 - `null` is what is not known, and infinity.
 """
 
@@ -28,6 +30,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -92,7 +95,8 @@ def _filter(one: Filter, spreads: list[Spread]) -> dict[str, Any]:
 
 def _column(column: Column) -> dict[str, Any]:
     numbers = {row.key: column.values[row.key] for row in ROWS}
-    return {"particles": column.particles, "numbers": numbers, "series": column.series}
+    infinite = int(np.isinf(column.series["nees"]).sum())
+    return {"particles": column.particles, "numbers": numbers, "series": column.series, "nees_infinite": infinite}
 
 
 def _spread(spread: Spread) -> dict[str, Any]:

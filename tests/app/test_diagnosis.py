@@ -33,11 +33,7 @@ from app.diagnosis.diagnose import diagnose
 from app.diagnosis.evidence import Numbers, Observations, record_of
 from app.diagnosis.findings import Case, Diagnosis, Finding, amount, percent
 from app.diagnosis.reading import read_cases
-from app.diagnosis.words import as_dict, commands, markdown
-from app.live.diagnoses import NOTHING, Diagnoses
-from app.live.engine import Begun, Engine, Forked, Stepped
-from app.live.settings import Settings
-from app.pace import Pace
+from app.diagnosis.words import as_dict, commands
 from app.recording import Recorder
 from app.recording.reading import Recording
 from app.recording.stream import FileStream
@@ -134,16 +130,17 @@ class TestEvidence:
 
     def test_a_filter_that_is_switched_on_late_has_its_own_steps(self, run: tuple[list[SessionStep], Case]) -> None:
         steps, _ = run
-        collector, info = Collector(), _info()
-        collector.start(info)
+        collector = Collector()
+        collector.begin(_info())
         for step in steps[10:15]:
             collector.step(step)
             collector.step(step)  # once more, as after going back
         assert collector.cases()[0].record.steps.tolist() == [11, 12, 13, 14, 15]
-        later = Collector()
-        later.start(info, collector, until=13)
-        assert later.cases()[0].record.steps.tolist() == [11, 12, 13]
-        assert collector.cases(until=12)[0].record.steps.tolist() == [11, 12]
+        earlier = collector.part(13)
+        assert earlier.cases()[0].record.steps.tolist() == [11, 12, 13]
+        earlier.step(steps[13])
+        assert earlier.cases()[0].record.steps.tolist() == [11, 12, 13, 14]
+        assert collector.cases()[0].record.steps.tolist() == [11, 12, 13, 14, 15]
 
 
 class TestShape:
@@ -675,96 +672,33 @@ class TestWhileItRuns:
 
     def test_a_filter_is_not_there_before_it_was_switched_on(self) -> None:
         collector = Collector()
-        collector.start(_info())
+        collector.begin(_info())
         late = self.steps("fs2", 15)[9:]
         for step in [*self.steps("dfs", 9), *late]:
             collector.step(step)
-        assert [case.key for case in collector.cases(until=9)] == ["dfs"]
-        assert [case.key for case in collector.cases(until=10)] == ["dfs", "fs2"]
+        assert [case.key for case in collector.part(9).cases()] == ["dfs"]
+        assert [case.key for case in collector.part(10).cases()] == ["dfs", "fs2"]
 
     def test_parameters_are_those_of_the_step(self) -> None:
         collector = Collector()
-        collector.start(_info())
+        collector.begin(_info())
         for step in self.steps("dfs", 5, (20, 30)):
             collector.step(step)
-        assert [collector.cases(until)[0].params["particles"] for until in (5, 6)] == [20, 30]
+        assert [collector.part(until).cases()[0].params["particles"] for until in (5, 6)] == [20, 30]
 
     @pytest.mark.parametrize("particles", [(100, 1, 100), (1, 50), (20, 1), (5, 3, 2)])
     @pytest.mark.parametrize("key", ["dfs", "fs2", "fs1"])
     def test_any_number_of_particles(self, key: str, particles: tuple[int, ...]) -> None:
         collector = Collector()
-        collector.start(_info())
+        collector.begin(_info())
         for step in self.steps(key, 6, particles):
             collector.step(step)
         record = collector.cases()[0].record
         assert record["particles"].tolist() == [float(K) for K in particles for _ in range(6)]
         for until in range(1, 6 * len(particles) + 1):
-            found = diagnose(collector.cases(until)[0])
+            found = diagnose(collector.part(until).cases()[0])
             assert not any("nan" in finding.text for finding in found.findings)
             assert ("K changed" in found.kinds()) == (until > 6)
-
-    def test_another_branch_and_another_session_are_told_at_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Also while steps are made, when the text may be old."""
-        diagnoses, source = Diagnoses(), build("paper-line")
-        monkeypatch.setattr(Pace, "due", False)
-        info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=20), None, 0)
-        settings = Settings(info.params, info.noise, ("dfs",))
-        diagnoses.begun(Begun(info, settings, 0))
-        steps = self.steps("dfs", 30)
-        for step in steps:
-            diagnoses.stepped(Stepped("", step, settings, ()))
-        first = diagnoses.of("", 20, now=False)
-        assert "Up to step 20" in first.text
-        assert diagnoses.of("", 30, now=False) == first  # it may be old
-        assert "Up to step 10" in diagnoses.of("", 10, now=False).text  # but not of what is to come
-        diagnoses.forked(Forked("other", "", 5, info, settings))
-        assert "Up to step 5" in diagnoses.of("other", 5, now=False).text
-        diagnoses.begun(Begun(info, settings, 0))
-        assert diagnoses.of("", 0, now=False).text == NOTHING
-        assert diagnoses.of("other", 5, now=False).text == NOTHING
-        diagnoses.stepped(Stepped("", steps[0], settings, ()))
-        assert "Up to step 1." in diagnoses.of("", 1, now=False).text
-
-    def test_what_was_being_told_when_another_session_began_is_not_shown(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        diagnoses, source = Diagnoses(), build("paper-line")
-        info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=20), None, 0)
-        settings = Settings(info.params, info.noise, ("dfs",))
-        diagnoses.begun(Begun(info, settings, 0))
-        diagnoses.stepped(Stepped("", self.steps("dfs", 1)[0], settings, ()))
-
-        def reset(case: Case) -> Diagnosis:
-            diagnoses.begun(Begun(info, settings, 0))
-            return diagnose(case)
-
-        monkeypatch.setattr("app.live.diagnoses.diagnose", reset)
-        assert diagnoses.of("", 1).text == NOTHING
-        assert diagnoses.of("", 0).text == NOTHING
-
-
-def test_live_it_follows_steps_and_branches() -> None:
-    source, diagnoses = build("paper-line"), Diagnoses()
-    info = session.make_info(source, [ESTIMATORS["dfs"]], source.params(particles=30, weighting="joint"), None, 2)
-    engine = Engine(info, [diagnoses])
-    assert diagnoses.of("", 0).text == NOTHING
-    engine.start()
-    engine.step(30)
-    engine.wait(lambda status: status.step == 30)
-    engine.go(10)
-    engine.wait(lambda status: status.step == 10)
-    engine.put({"weighting": "marginal"})
-    engine.fork("other")
-    engine.step(10)
-    engine.wait(lambda status: status.branch == "other" and status.step == 20)
-    engine.close(20.0)
-    told = diagnoses.of("", 30)
-    assert "#### Dual FastSLAM" in told.text
-    assert "shape of the map" in told.text
-    assert told.steps
-    assert max(told.steps) <= 30
-    collected_own = collected("paper-line", "dfs", 2, 30, particles=30, weighting="joint")
-    assert markdown([diagnose(collected_own)]) in told.text
-    assert "Up to step 20" in diagnoses.of("other", 20).text
-    assert diagnoses.of("other", 20).text != told.text
 
 
 @pytest.mark.parametrize(

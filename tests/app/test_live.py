@@ -204,7 +204,7 @@ def test_a_person_with_a_browser(tmp_path):
             see(tab, "paused")
 
             press(tab, "Step back")
-            panel_of(tab).get_by_role("tab", name="Time travel").click()
+            panel_of(tab).get_by_role("tab", name="Time", exact=True).click()
             press(tab, "Branch from here")
             press(tab, "Step")
             see(tab, r"\d+-again")

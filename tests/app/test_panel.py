@@ -19,7 +19,7 @@ from app.live.engine import Engine
 from app.live.settings import MOST
 from app.live.trend import Trend
 from app.panel.controls import filter_controls, noise_controls
-from app.panel.panel import SPEEDS, TRUNK, UNTIL, Panel
+from app.panel.panel import HEIGHT, SPEEDS, TALLEST, TRUNK, UNTIL, WIDEST, WIDTH, Panel, size_in
 from scenarios.registry import build, worlds
 from slam.estimators import ESTIMATORS
 from tests.app.live import at, change
@@ -244,11 +244,11 @@ def test_time_travel_and_branches(live):
     go(panel, "Step")
     status = at(engine, 7)
     assert len(status.taken.step.filters["dfs"].trace.weighted.s) == 90
-    soon(lambda: f"**Beside {TRUNK}**, at step 7: Dual FastSLAM: error" in panel.tree.content)
+    soon(lambda: f"**Beside {TRUNK}**, whose numbers at step 7 are in brackets" in panel.tree.content)
     mine, first = (panel._trend.at(branch, 7)["dfs"] for branch in ("6-particles-90", ""))
-    assert f"error {mine.error:.3g} m instead of {first.error:.3g} m" in panel.tree.content
-    assert f"N_eff {mine.n_eff:.0%} instead of {first.n_eff:.0%}" in panel.tree.content
-    assert f"diversity {mine.diversity:.0%} instead of {first.diversity:.0%}; FastSLAM 2.0" in panel.tree.content
+    error, n_eff = f"{mine.error:.3g} ({first.error:.3g})", f"{mine.n_eff:.0%} ({first.n_eff:.0%})"
+    row = f"| Dual FastSLAM | {error} | {n_eff} | {mine.diversity:.0%} ({first.diversity:.0%}) |"
+    assert row in panel.tree.content.splitlines()
     soon(lambda: tuple(panel.branches.options) == (TRUNK, "6-particles-90"))
     soon(lambda: panel.branches.value == "6-particles-90")
     panel.branches.value = TRUNK
@@ -303,6 +303,38 @@ def test_reset_seed_and_world(live):
     press(panel.reset)
     info = engine.wait(lambda s: s.number == 4).info
     assert (info.source.name, info.seed) == ("corridor", 0)
+
+
+def test_in_the_same_world_the_page_is_not_built_anew(live):
+    """Whoever clicks on New seed is not taken to another tab; the seed is that of the session."""
+    engine, panel, _ = live
+    seed, reset = panel.seed, panel.reset
+    press(panel.new_seed)
+    soon(lambda: panel._built == 1)
+    assert panel.seed is seed
+    assert seed.value == engine.status.info.seed == 4
+    panel.mistake.value = "keep-first"
+    engine.reset(mistake="plain-weights")  # by somebody else, as a script
+    soon(lambda: panel._built == 2)
+    soon(lambda: panel.mistake.value == "plain-weights")
+    engine.reset(source=build("corridor", length=30.0))
+    soon(lambda: panel._built == 3)
+    assert panel.seed is not seed
+    assert reset._impl.removed
+
+
+@pytest.mark.parametrize(
+    ("browser", "expected"),
+    [
+        ((580, 720), (WIDTH, HEIGHT)),
+        ((760, 1080), (WIDEST, 594)),
+        ((2500, 4000), (WIDEST, TALLEST)),
+        ((0, 0), (WIDTH, HEIGHT)),
+        ((700, 900), (700, 495)),
+    ],
+)
+def test_the_controls_have_the_room_of_a_browser(browser, expected):
+    assert size_in(*browser) == expected
 
 
 def test_the_plots_have_what_the_trend_has(live):

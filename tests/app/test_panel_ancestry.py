@@ -107,7 +107,7 @@ def test_what_is_said(live: tuple[Engine, Panel]) -> None:
     update = list(session.steps(info))[-1].filters["fs1"]
     said = described("fs1", update)
     assert said.startswith("**FastSLAM 1.0**: ")
-    assert "; one ancestor " in said
+    assert ", all from one of " in said
     copies, holders = update.trace.weighted.maps.hypotheses()
     i = int(np.argmin(copies / holders))
-    assert f"; feature {i} has {copies[i]} hypothes" in said
+    assert f"; feature {i} has the fewest hypotheses left, {copies[i]} in {holders[i]} maps" in said

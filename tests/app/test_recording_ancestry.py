@@ -7,6 +7,7 @@ import itertools
 import math
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -250,19 +251,31 @@ def test_what_all_share_has_the_colour_of_the_filter() -> None:
     assert ancestry.of_branches(genealogy, branches, rgb)[common].argmax() == np.argmax(rgb)
 
 
-def test_what_is_said_of_the_ancestry(steps: list[SessionStep]) -> None:
-    update = steps[-1].filters["dfs"]
-    founders = len(set(update.genealogy.lineage.tolist()))
-    assert 1 < founders < FEWER
-    left = update.genealogy.distinct_ancestors()[-1]
-    assert ancestry.words(update) == f"{left} of {FEWER} left after {STEPS} steps; {founders} founders"
-    update = steps[-1].filters["fs1"]
-    age = update.genealogy.common_ancestor_age()
-    assert age is not None
-    assert ancestry.words(update).endswith(f"; one ancestor {ancestry.steps(age)} ago")
+def told(*ancestors: list[int]) -> str:
+    """What is said of particles with these ancestors in every step."""
+    genealogy = Genealogy.start(np.zeros((len(ancestors[0]), 3)))
+    for step in ancestors:
+        genealogy = genealogy.grow(np.array(step), np.zeros((len(step), 3)))
+    return ancestry.words(SimpleNamespace(genealogy=genealogy))  # type: ignore[arg-type]
+
+
+def test_what_is_said_of_the_ancestry() -> None:
+    all_, half, one = [0, 1, 2, 3], [0, 0, 2, 2], [1, 1, 1, 1]
+    assert told(half, all_) == "4 particles, from 2 founders"
+    assert told(*[half] * 60) == "4 particles, from 2 of 50 steps ago and from 2 founders"
+    assert told(half, *[all_] * 60) == "4 particles, from 4 of 50 steps ago and from 2 founders"
+    assert told(all_, one, *[all_] * 49) == "4 particles, all from one of 50 steps ago"
+    assert told(all_, one, *[all_] * 50, half) == "4 particles, from 2 of 50 steps ago and all from one of 52 steps ago"
+    assert told(all_, one) == "4 particles, all from one of 1 step ago"
+    assert told([0], [0]) == "1 particle"
+
+
+def test_what_is_said_of_hypotheses(steps: list[SessionStep]) -> None:
     maps = steps[-1].filters["dfs"].trace.weighted.maps
-    copies, _ = maps.hypotheses()
-    assert f" {copies.min()} hypothes" in ancestry.scarcest(maps)
+    copies, holders = maps.hypotheses()
+    i = int(np.argmin(copies / holders))
+    said = f"feature {i} has the fewest hypotheses left, {copies[i]} in {holders[i]} maps "
+    assert ancestry.scarcest(maps) == f"{said}(median of all features: {np.median(copies):.0f})"
     assert ancestry.scarcest(maps.store.empty(3)) == ""
 
 

@@ -138,8 +138,9 @@ def test_particles_outside_the_likelihood_are_counted() -> None:
     v[0, :, 0], v[1, 0, 0], v[2, 0, 1] = math.sqrt(6.0), math.sqrt(9.5), 0.1
     n = np.array([[0, 1], [0, NEW], [0, NEW]])
     V = np.tile(np.eye(2), (3, 2, 1, 1))
-    found = weight_variance(made(np.arange(6.0).reshape(3, 2), np.full(3, 1 / 3), n, Innovations(v, V)))
-    assert found.inside == pytest.approx(2 / 3)
+    trace = made(np.arange(6.0).reshape(3, 2), np.full(3, 1 / 3), n, Innovations(v, V))
+    assert weight_variance(trace).inside == pytest.approx(2 / 3)
+    assert weight_variance(trace._replace(temper=0.9)).inside == 1.0  # a flatter likelihood reaches further
 
 
 def test_the_spread_between_particles_beside_what_each_expects() -> None:
