@@ -182,7 +182,7 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
     if branch and branch not in branches:
         has = f"it has {', '.join(branches)}" if branches else "it has none"
         raise UsageError(f"{path} has no branch {branch!r}; {has}")
-    told = recording.params()
+    told = recording.params(branch)  # each run of a lesson has its own world and filters
     recorded, changes = _line(recording, branch)
     if not recorded.keys:
         raise UsageError(f"{path} has no step of any filter; nothing can be run again")
@@ -202,7 +202,10 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
 
 
 def _line(recording: Recording, branch: str) -> tuple[Recorded, list[Change]]:
-    """What was recorded of a branch and of those that it came from, and what held from which step on."""
+    """What was recorded of a branch and of those that it came from, and what held from which step on.
+
+    A branch that begins at step 1 is a run of its own, such as those of a lesson: nothing was before it.
+    """
     way = recording.way(branch)
     firsts = [1, *(_first_step(recording, name) for name in way[1:])]
     recorded, changes = Recorded(), []

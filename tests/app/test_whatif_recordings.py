@@ -1,0 +1,105 @@
+"""`dualslam whatif` of recordings that are not of one right run from its first step to its last: lessons, mistakes,
+relations, damage; and the recordings that it writes itself."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from app import cli, session
+from app.compare.runs import read_run
+from app.diagnosis.reading import read_cases
+from app.recording.lesson import LessonRecorder
+from app.recording.reading import Recording
+from app.run import session_of_command
+
+STEPS, FROM, SEED = 12, 5, 3
+
+
+def run(path, *more, filters=("dfs", "fs2"), steps=STEPS, world="paper-line"):
+    words = ["run", str(world), "--filters", *filters, "--steps", str(steps), "--seed", str(SEED)]
+    assert cli.entry([*words, "--record", str(path), "--particles", "12", *map(str, more)]) == 0
+    return path
+
+
+def whatif(path, *arguments):
+    return cli.entry(["whatif", str(path), *map(str, arguments)])
+
+
+def asked(path, folder, *arguments):
+    """The summary of a question that has an answer."""
+    out = folder / "asked.json"
+    assert whatif(path, *arguments, "--summary", out) == 0
+    return json.loads(out.read_text())
+
+
+def refused(capsys, path, *arguments) -> str:
+    capsys.readouterr()
+    assert whatif(path, *arguments) == 2
+    found = capsys.readouterr()
+    assert found.out == ""
+    (line,) = [line for line in found.err.splitlines() if line.startswith("dualslam: ")]
+    return line
+
+
+@pytest.fixture(scope="module")
+def lesson(tmp_path_factory):
+    """Its first run, one with a mistake, one of another world with other filters, and one that is longer."""
+    path = tmp_path_factory.mktemp("lesson") / "lesson.rrd"
+    recorder = LessonRecorder(path, "# A lesson")
+    runs = {
+        "right": "--filters fs2 fs1 --steps 12",
+        "wrong": "--filters fs2 --steps 12 --mistake shared-maps",
+        "elsewhere": "--layout two-far --filters dfs --steps 12 --seed 4",
+        "longer": "--filters fs2 --steps 15",
+    }
+    for name, options in runs.items():
+        recorder.next(name)
+        session.run(session_of_command(f"dualslam run paper-line --particles 12 --seed {SEED} {options}"), [recorder])
+    recorder.close("# A lesson")
+    return path
+
+
+class TestLessons:
+    """Every run has its own world, filters, seed, steps and mistake, and nothing of another one."""
+
+    @pytest.mark.parametrize(
+        ("name", "filters", "steps"),
+        [("", ["fs2", "fs1"], 12), ("wrong", ["fs2"], 12), ("elsewhere", ["dfs"], 12), ("longer", ["fs2"], 15)],
+    )
+    def test_unchanged_it_is_the_run_that_was_recorded(self, lesson, tmp_path, name, filters, steps):
+        found = asked(f"{lesson}#{name}" if name else lesson, tmp_path, "--from", FROM, "--set", "temper=0.5")
+        mistake = [warning for warning in found["warnings"] if "--mistake shared-maps" in warning]
+        assert found["warnings"] == mistake
+        assert len(mistake) == (name == "wrong")
+        recorded = read_run(lesson, name, "run")
+        assert list(found["filters"]) == list(recorded.filters) == filters
+        assert (found["to"], found["seed"]) == (steps, recorded.told["seed"])
+        for key, one in found["filters"].items():
+            series, was = one["unchanged"]["series"], recorded.filters[key].at(np.arange(FROM, steps + 1))
+            for number in ("n_eff", "position_error_m", "map_error_m", "features"):
+                assert series[number] == was[number].tolist()
+
+    def test_from_its_first_step(self, lesson, tmp_path):
+        found = asked(f"{lesson}#elsewhere", tmp_path, "--from", 1, "--set", "particles=20")
+        assert found["warnings"] == []
+        assert found["set"] == {"particles": [12, 20]}
+
+    def test_its_recording_is_of_that_run(self, lesson, tmp_path):
+        both = tmp_path / "both.rrd"
+        asked(f"{lesson}#elsewhere", tmp_path, "--from", FROM, "--set", "temper=0.5", "--record", both)
+        told, was = Recording(both).params(), Recording(lesson).params("elsewhere")
+        assert told == {name: value for name, value in was.items() if name != "parent"}
+
+    def test_a_diagnosis_is_of_that_run_alone(self, lesson):
+        for name, filters, steps in (("wrong", ["fs2"], 12), ("elsewhere", ["dfs"], 12), ("longer", ["fs2"], 15)):
+            read = read_cases(lesson, name)
+            assert read.heading.startswith(f"paper-line, seed {4 if name == 'elsewhere' else SEED}, step {steps} of")
+            assert read.warnings == []
+            assert [case.key for case in read.cases] == filters
+            (case,) = read.cases
+            assert case.record.steps.tolist() == list(range(1, steps + 1))
+            n_eff = read_run(lesson, name, "run").filters[case.key].series["n_eff"]
+            assert case.record["n_eff"].tolist() == n_eff.tolist()
