@@ -66,7 +66,7 @@ class Execution:
         return 0
 
     def _run(self, interrupts: Interrupts) -> None:
-        info, bar = self._plan.origin.info, ProgressBar(self._err)
+        info, bar = self._plan.info, ProgressBar(self._err)
         bar.begin(info._replace(steps=self._plan.work))
         try:
             if self._recorder is not None:

@@ -11,6 +11,7 @@ import pytest
 from app import cli, session
 from app.compare.runs import read_run
 from app.diagnosis.reading import read_cases
+from app.recording.charts import WIDTH
 from app.recording.lesson import LessonRecorder
 from app.recording.reading import Recording
 from app.run import session_of_command
@@ -103,3 +104,26 @@ class TestLessons:
             assert case.record.steps.tolist() == list(range(1, steps + 1))
             n_eff = read_run(lesson, name, "run").filters[case.key].series["n_eff"]
             assert case.record["n_eff"].tolist() == n_eff.tolist()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("recorded") / "run.rrd")
+
+
+class TestFurther:
+    def test_a_recording_that_goes_further_says_so(self, recorded, tmp_path):
+        both = tmp_path / "both.rrd"
+        asked(recorded, tmp_path, "--from", FROM, "--set", "particles=20", "--steps", 30, "--record", both)
+        recording = Recording(both)
+        (branch,) = recording.branches()
+        for name in ("", branch):
+            assert recording.params(name)["steps"] == 30
+            read = read_cases(both, name)
+            assert "step 30 of 30" in read.heading
+            assert read.warnings == []
+            root = f"/branch/{branch}" if name else ""
+            pictures = recording.rows(f"{root}/genealogy/dfs", "LineStrips2D:strips", "step")
+            assert pictures
+            ends = [max(x for line in lines for x, _ in line) for _, lines in pictures if lines]
+            assert max(ends) <= WIDTH * (1 + 1e-6), "beyond the frame"
