@@ -3,6 +3,7 @@ relations, damage; and the recordings that it writes itself."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 from app import cli, session
 from app.compare.runs import read_run
 from app.diagnosis.reading import read_cases
+from app.recording import Recorder
 from app.recording.charts import WIDTH
 from app.recording.lesson import LessonRecorder
 from app.recording.reading import Recording
 from app.run import session_of_command
+from app.session import Change
 
 STEPS, FROM, SEED = 12, 5, 3
 
@@ -127,3 +130,50 @@ class TestFurther:
             assert pictures
             ends = [max(x for line in lines for x, _ in line) for _, lines in pictures if lines]
             assert max(ends) <= WIDTH * (1 + 1e-6), "beyond the frame"
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory):
+    """A recording of which from step 4 on the numbers are others, for a reason that it does not tell."""
+    path = tmp_path_factory.mktemp("odd") / "odd.rrd"
+    recorder = Recorder(path)
+    info = session_of_command("dualslam run paper-line --filters dfs --steps 12 --particles 12")
+    recorder.begin(info)
+    for step in session.steps(info, [Change(4, dataclasses.replace(info.params, temper=0.5))]):
+        recorder.step(dataclasses.replace(step, changes=()))
+    recorder.end()
+    return path
+
+
+class TestRefused:
+    """Found out only on the way: the file that was asked for is as if nothing had been."""
+
+    def test_no_recording_is_left_or_announced(self, odd, tmp_path, capsys):
+        out = tmp_path / "both.rrd"
+        line = refused(capsys, odd, "--from", FROM, "--set", "temper=0.5", "--record", out)
+        assert "cannot be run again: at step 4" in line
+        assert list(tmp_path.iterdir()) == []
+
+    def test_one_that_was_there_is_there_again(self, odd, recorded, tmp_path, capsys):
+        out, link = tmp_path / "both.rrd", tmp_path / "link.rrd"
+        out.write_bytes(recorded.read_bytes())
+        link.symlink_to(out)
+        refused(capsys, odd, "--from", FROM, "--set", "temper=0.5", "--record", link)
+        assert out.read_bytes() == recorded.read_bytes()
+        assert link.is_symlink()
+        assert sorted(tmp_path.iterdir()) == [out, link]
+
+    def test_one_that_was_there_is_replaced_by_an_answer(self, recorded, tmp_path):
+        out = tmp_path / "both.rrd"
+        out.write_bytes(recorded.read_bytes())
+        assert whatif(recorded, "--from", FROM, "--set", "temper=0.5", "--record", out) == 0
+        assert list(tmp_path.iterdir()) == [out]
+        assert Recording(out).branches()
+
+    def test_one_that_another_program_writes_is_left_to_it(self, recorded, tmp_path, capsys):
+        other = Recorder(tmp_path / "both.rrd")
+        other.begin(session_of_command("dualslam run paper-line --filters dfs --steps 1"))
+        refused(capsys, recorded, "--from", FROM, "--set", "temper=0.5", "--record", other.path)
+        other.end()
+        assert not Recording(other.path).damaged
+        assert list(tmp_path.iterdir()) == [other.path]
