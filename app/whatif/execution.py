@@ -21,7 +21,7 @@ from app.types import SessionStep
 from app.whatif.fork import Made, Plan, made
 from app.whatif.former import Former
 from app.whatif.numbers import Tallies, side_by_side, spreads_of, title
-from app.whatif.output import as_dict, spread_table
+from app.whatif.output import as_dict, spread_table, with_titles
 from app.whatif.words import UNTOLD, on_luck, question, sentences
 
 if TYPE_CHECKING:
@@ -160,7 +160,8 @@ class Execution:
         return self._useful or (self._summary is not None and self._tallies.done > 0)
 
     def _say(self) -> None:
-        found, spreads = side_by_side(self._tallies), spreads_of(self._tallies)
+        found = with_titles(side_by_side(self._tallies), self._plan.info)
+        spreads = spreads_of(self._tallies)
         count = len(self._tallies.others())
         said = [question(self._plan), *sentences(found, self._plan.first)]
         luck = on_luck(spreads, found, count) if spreads else [UNTOLD]

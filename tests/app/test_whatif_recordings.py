@@ -177,3 +177,30 @@ class TestRefused:
         other.end()
         assert not Recording(other.path).damaged
         assert list(tmp_path.iterdir()) == [other.path]
+
+
+class TestMistakes:
+    """A run that was wrong on purpose is told of as such."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def wrong(cls, tmp_path_factory):
+        path = tmp_path_factory.mktemp("wrong") / "wrong.rrd"
+        return run(path, "--mistake", "resample-always", filters=("dfs", "fs2"))
+
+    def test_titles_and_a_key(self, wrong, recorded, tmp_path, capsys):
+        capsys.readouterr()
+        found = asked(wrong, tmp_path, "--from", FROM, "--set", "particles=20", "--seeds", 1)
+        said = capsys.readouterr()
+        assert found["mistake"] == "resample-always"
+        assert f"{wrong} was made with --mistake resample-always, and so are both ways" in found["warnings"]
+        for key, title in (("dfs", "Dual FastSLAM"), ("fs2", "FastSLAM 2.0")):
+            assert found["filters"][key]["title"] == f"{title} (resample-always)"
+            lines = [line for line in said.out.splitlines() if line.startswith(f"{title} (resample-always)")]
+            assert len(lines) == 3  # a sentence, a table, and one over other random numbers
+        assert asked(recorded, tmp_path, "--from", FROM, "--set", "particles=20")["mistake"] is None
+
+    def test_comparisons(self, wrong, recorded, tmp_path):
+        assert cli.entry(["compare", str(recorded), str(wrong), "--out", str(tmp_path)]) == 0
+        found = json.loads((tmp_path / "compare.json").read_text())
+        assert [one["mistake"] for one in found["runs"]] == [None, "resample-always"]
