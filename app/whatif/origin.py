@@ -123,6 +123,8 @@ class Origin(NamedTuple):
     places: list[str]
     """Files that it was made of."""
     damaged: bool
+    judged: bool
+    """Whether its paths were judged by relations, which no recording has."""
 
     @property
     def last(self) -> int:
@@ -198,7 +200,8 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
     steps = min(max(int(told["steps"]), last), len(source.steps))
     info = session.make_info(source, filters, first.params, first.noise, int(told["seed"]), steps, told["command"])
     info = info._replace(mistake=mistake)
-    return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged)
+    judged = f"{root_of(branch)}relations" in recording.entities
+    return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged, judged)
 
 
 def _line(recording: Recording, branch: str) -> tuple[Recorded, list[Change]]:

@@ -204,3 +204,14 @@ class TestMistakes:
         assert cli.entry(["compare", str(recorded), str(wrong), "--out", str(tmp_path)]) == 0
         found = json.loads((tmp_path / "compare.json").read_text())
         assert [one["mistake"] for one in found["runs"]] == [None, "resample-always"]
+
+
+def test_relations_that_are_not_judged_by(drive, tmp_path):
+    options = ("--keyframe", "0.5,10", "--relations", drive.relations)
+    path = run(tmp_path / "drive.rrd", *options, world=drive.log, filters=("dfs",))
+    both, question = tmp_path / "both.rrd", ("--from", FROM, "--set", "particles=20")
+    found = asked(path, tmp_path, *question, "--record", both)
+    assert found["warnings"] == [f"{path} was judged with --relations, and neither way is judged by them here"]
+    assert not [entity for entity in Recording(both).entities if entity.endswith("relations")]
+    (branch,) = Recording(both).branches()
+    assert asked(f"{both}#{branch}", tmp_path, *question[:2], "--set", "temper=0.5")["warnings"] == []
