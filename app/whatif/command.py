@@ -100,7 +100,8 @@ class WhatIf:
                 f"--steps is {last}, and {origin.info.source.name} has {len(origin.info.source.steps)} of them"
             )
         if self.first > origin.last:
-            raise UsageError(f"--from is {self.first}; {self.recording} has steps 1 to {origin.last}")
+            cut = "is damaged, and only " if origin.damaged else ""
+            raise UsageError(f"--from is {self.first}; {self.recording} {cut}has steps 1 to {origin.last}")
         if self.first > last:
             raise UsageError(f"--from is {self.first}, and --steps {last}: no step is left to change")
         was = values_of(origin.at(self.first))

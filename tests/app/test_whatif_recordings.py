@@ -5,19 +5,28 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from app import cli, session
-from app.compare.runs import read_run
+from app.compare.numbers import compare
+from app.compare.output import Told, as_dict
+from app.compare.runs import read_run, read_runs
 from app.diagnosis.reading import read_cases
+from app.live.engine import Engine
 from app.recording import Recorder
 from app.recording.charts import WIDTH
 from app.recording.lesson import LessonRecorder
 from app.recording.reading import Recording
+from app.recording.session import SessionWriter
+from app.recording.stream import FileStream
 from app.run import session_of_command
 from app.session import Change
+from scenarios.registry import build
+from slam.estimators import ESTIMATORS
+from tests.app.live import at, change
 
 STEPS, FROM, SEED = 12, 5, 3
 
@@ -200,10 +209,10 @@ class TestMistakes:
             assert len(lines) == 3  # a sentence, a table, and one over other random numbers
         assert asked(recorded, tmp_path, "--from", FROM, "--set", "particles=20")["mistake"] is None
 
-    def test_comparisons(self, wrong, recorded, tmp_path):
-        assert cli.entry(["compare", str(recorded), str(wrong), "--out", str(tmp_path)]) == 0
-        found = json.loads((tmp_path / "compare.json").read_text())
-        assert [one["mistake"] for one in found["runs"]] == [None, "resample-always"]
+    def test_comparisons(self, wrong, recorded):
+        found = compare(read_runs([str(recorded), str(wrong)]))
+        told = as_dict(found, Told([], []), "dualslam compare", [])
+        assert [one["mistake"] for one in told["runs"]] == [None, "resample-always"]
 
 
 def test_relations_that_are_not_judged_by(drive, tmp_path):
@@ -215,3 +224,49 @@ def test_relations_that_are_not_judged_by(drive, tmp_path):
     assert not [entity for entity in Recording(both).entities if entity.endswith("relations")]
     (branch,) = Recording(both).branches()
     assert asked(f"{both}#{branch}", tmp_path, *question[:2], "--set", "temper=0.5")["warnings"] == []
+
+
+class TestTheEnd:
+    def test_of_a_damaged_file_is_the_last_step_that_is_all_there(self, recorded, tmp_path, capsys, monkeypatch):
+        class Cut(Recording):
+            """The end of some series is lost."""
+
+            def __init__(self, path):
+                super().__init__(path)
+                self.damaged = True
+
+            def series(self, entity, timeline="step"):
+                steps, values = super().series(entity, timeline)
+                end = {"/plots/features/fs2": 9, "/plots/update_ms/dfs": 10}.get(entity, STEPS)
+                return steps[steps <= end], values[steps <= end]
+
+        monkeypatch.setattr("app.whatif.origin.Recording", Cut)
+        monkeypatch.setattr("app.compare.runs.Recording", Cut)
+        found = asked(recorded, tmp_path, "--from", FROM, "--set", "temper=0.5")
+        assert found["warnings"] == [f"{recorded} is damaged: it is read as far as that goes, to step 9"]
+        assert found["to"] == 9 == min(numbers.steps[-1] for numbers in read_run(recorded, "", "x").filters.values())
+        line = refused(capsys, recorded, "--from", 10, "--set", "temper=0.5")
+        assert f"--from is 10; {recorded} is damaged, and only has steps 1 to 9" in line
+
+    @pytest.mark.parametrize("branch", ["", "other"])
+    def test_of_a_live_session_is_that_of_the_filters_that_are_on(self, tmp_path, branch):
+        path, source = tmp_path / "live.rrd", build("paper-line")
+        filters, params = [ESTIMATORS[key] for key in ("dfs", "fs2")], source.params(particles=12)
+        info = session.make_info(source, filters, params, seed=SEED, command="dualslam live")
+        engine = Engine(info, [SessionWriter(partial(FileStream, path))])
+        engine.start()
+        engine.step(6)
+        at(engine, 6)
+        if branch:
+            engine.go(5)
+            at(engine, 5)
+        change(engine, filters=("fs2",))
+        if branch:
+            engine.fork("Other")
+        engine.step(4)
+        last = at(engine, 9 if branch else 10, "Other" if branch else None).step
+        engine.close()
+        found = asked(f"{path}#{branch}" if branch else path, tmp_path, "--from", FROM, "--set", "temper=0.5")
+        assert found["to"] == last
+        assert list(found["filters"]) == ["dfs", "fs2"]
+        assert found["warnings"] == []
