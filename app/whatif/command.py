@@ -100,7 +100,8 @@ class WhatIf:
                 f"--steps is {last}, and {origin.info.source.name} has {len(origin.info.source.steps)} of them"
             )
         if self.first > origin.last:
-            raise UsageError(f"--from is {self.first}; {self.recording} has steps 1 to {origin.last}")
+            cut = "is damaged, and only " if origin.damaged else ""
+            raise UsageError(f"--from is {self.first}; {self.recording} {cut}has steps 1 to {origin.last}")
         if self.first > last:
             raise UsageError(f"--from is {self.first}, and --steps {last}: no step is left to change")
         was = values_of(origin.at(self.first))
@@ -111,6 +112,8 @@ class WhatIf:
         warnings = [*origin.info.source.warnings, *told]
         if origin.info.mistake:
             warnings.append(f"{origin.path} was made with --mistake {origin.info.mistake}, and so are both ways")
+        if origin.judged:
+            warnings.append(f"{origin.path} was judged with --relations, and neither way is judged by them here")
         if origin.damaged:
             warnings.append(f"{origin.path} is damaged: it is read as far as that goes, to step {origin.last}")
         changed = {name: value for name, value in values.items() if name not in idle}

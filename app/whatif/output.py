@@ -2,6 +2,7 @@
 
     {"schema": 1, "version": "0.1.0", "command": text,
      "recording": text, "branch": text | null, "world": name, "seed": n,
+     "mistake": name | null,                            that all filters make on purpose, in both ways
      "from": step, "to": step, "complete": bool,        whether all steps and seeds that were asked for were made
      "set": {dotted name: [before, after], ...},
      "warnings": [sentence, ...], "said": [sentence, ...],
@@ -39,12 +40,19 @@ from app.compare.numbers import Column, Comparison, Filter
 from app.recording.metrics import LONERS
 from app.rows import ROWS
 from app.summary import plain
+from app.types import SessionInfo
 from app.version import version
 from app.whatif.numbers import Spread, Tallies, quantiles
 from app.whatif.settings import values_of
 from app.whatif.words import OF_MANY, span
 
 SCHEMA = 1
+
+
+def with_titles(found: Comparison, info: SessionInfo) -> Comparison:
+    """The same with the titles that the filters of a session have, which tell of a mistake in them."""
+    titles = {one.key: one.title for one in info.filters}
+    return found._replace(filters=[one._replace(title=titles[one.key]) for one in found.filters])
 
 
 def as_dict(
@@ -68,6 +76,7 @@ def as_dict(
             "branch": plan.origin.branch or None,
             "world": plan.origin.info.source.name,
             "seed": plan.origin.info.seed,
+            "mistake": plan.origin.info.mistake or None,
             "from": plan.first,
             "to": last,
             "complete": last == plan.last and others == plan.seeds,
