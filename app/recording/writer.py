@@ -166,6 +166,10 @@ class Writer:
         self._branches: dict[str, Writer] = {}
         self._axis = 0
         """[steps] of the time axis of the ancestry picture; 0 before there is one."""
+        self._most = 0
+        """The largest number of particles so far."""
+        self._scale = 0
+        """The one that the axis of what is left of the ancestors has; 0 before there is one."""
         self._descended: dict[str, int] = {}
         """By filter the last step of which the ancestors are written."""
         self._on = {f.key for f in info.filters}
@@ -361,7 +365,6 @@ class Writer:
                 log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
                 log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
                 log(f"genealogy/{f.key}/words", charts.look_of_words(self._bands[f.key], rgb))
-        log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
         log("genealogy/cursor", charts.look_of_cursor())
 
     def _curve(self, rgb: colours.RGB) -> colours.RGB:
@@ -387,8 +390,10 @@ class Writer:
             self.show()
 
     def _remember(self, step: SessionStep) -> None:
-        """Where the robot was, and where dead reckoning was; also of steps of which there is no picture."""
-        self._last = step
+        """Where the robot and dead reckoning were, and the largest K; also of steps of which there is no picture."""
+        if self._last is None:  # steps before this recording, or before the branch left, had another K maybe
+            self._most = max((int(u.genealogy.sizes.max()) for u in step.filters.values()), default=0)
+        self._last, self._most = step, max(self._most, step.params.particles)
         if step.truth is not None and known(step.truth):
             if self._truth_lost or not self._truth:
                 self._truth.append([])
@@ -494,19 +499,22 @@ class Writer:
 
     def _write_descent(self, step: SessionStep, picture: bool) -> None:
         """What of the ancestry is cheap enough for every step: how many are left, by lag and in words, and the cursor;
-        with a new picture, a time axis that is long enough until the next one."""
+        with a new picture, a time axis that is long enough until the next one; and after K grew, another scale."""
         first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
         axis = charts.time_axis(step.index + self._limits.pictures - 1, self._info.steps)
         if picture and axis != self._axis:
             self._axis = axis
             self._stream.log("genealogy/frame/time", charts.time_marks(last, axis))
+        if self._most != self._scale:
+            self._scale = self._most
+            self._stream.log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._scale))
         lags = ancestry.lags(step.index)
         back = pa.array(lags, pa.int32())
         for f in self._shown.filters:
             update = step.filters.get(f.key)
             if update is not None and f.key in self._many:
                 left = update.genealogy.distinct(lags)
-                curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
+                curve = charts.lag_curve(lags, left, self._info.steps, self._scale)
                 numbers = rr.AnyValues(steps_back=back, ancestors=pa.array(left, pa.int32()))
                 self._stream.log(f"genealogy/{f.key}/lags", curve, numbers)
                 self._stream.log(f"genealogy/{f.key}/words", charts.words(f"{f.title}: {ancestry.brief(update)}"))

@@ -110,9 +110,7 @@ class WhatIf:
             raise UsageError(f"{'; '.join(told)}: nothing would change")
         warnings = [*origin.info.source.warnings, *told]
         if origin.info.mistake:
-            warnings.append(
-                f"{origin.path} was made with --mistake {origin.info.mistake}, and so are both ways"
-            )
+            warnings.append(f"{origin.path} was made with --mistake {origin.info.mistake}, and so are both ways")
         if origin.damaged:
             warnings.append(f"{origin.path} is damaged: it is read as far as that goes, to step {origin.last}")
         changed = {name: value for name, value in values.items() if name not in idle}
