@@ -13,6 +13,7 @@ from app.types import FilterUpdate, SessionStep
 from scenarios.words import times
 from slam.features import Point, Wall
 from slam.metrics import nees_interval
+from slam.resampling import wants_resampling
 from slam.types import Floats, Frame, Trace
 from slam.weights import weight_variance
 
@@ -247,7 +248,10 @@ def _observation(trace: Trace, i: int, best: int) -> str:
 def _resampled(update: FilterUpdate, threshold: float) -> str:
     trace = update.trace
     K, children = len(trace.weighted.log_w), np.bincount(trace.selected)
-    reason = f"< {threshold:.0%} of {K}" if threshold < 1.0 else f"of {K}"
+    reason = f"of {K}"
+    if threshold < 1.0:  # or else always, whatever N_eff is
+        below = wants_resampling(trace.n_eff, K, threshold)
+        reason = f"< {threshold:.0%} of {K}" if below else f"of {K}, although not below {threshold:.0%} of K"
     return (
         f"resampled: N_eff {trace.n_eff:.1f} {reason}; {np.count_nonzero(children)} live on, "
         f"one {times(int(children.max()))}; {update.measures.diversity:.0%} of the founders left"
