@@ -92,14 +92,23 @@ def brief(update: FilterUpdate) -> str:
 def words(update: FilterUpdate) -> str:
     """How many ancestors are left, and when the living had one in common."""
     genealogy = update.genealogy
-    K = genealogy.particles
     lag = min(RECENT, genealogy.steps)
-    (left,) = genealogy.distinct([lag])
+    (left,) = genealogy.distinct([lag]).tolist()
     age = genealogy.common_ancestor_age()
-    text = f"{left} of {K} left after {steps(lag)}"
+    text = _left(left, int(genealogy.sizes[-1 - lag]), genealogy.particles, steps(lag))
     if age is None:
         return f"{text}; {brief(update)}"
     return f"{text}; one ancestor {f'{steps(age)} ago' if age else 'now'}"
+
+
+def _left(left: int, before: int, K: int, lag: str) -> str:
+    """How many are left of those that lived so long ago; where K has changed, of how many."""
+    if before == K:
+        return f"{left} of {K} left after {lag}"
+    if before == 1:
+        return f"the only one of {lag} ago is left"
+    some = f"all {before}" if left == before else f"{left} of the {before}"
+    return f"{some} of {lag} ago {'is' if left == 1 else 'are'} left"
 
 
 def scarcest(maps: Maps) -> str:
@@ -109,10 +118,8 @@ def scarcest(maps: Maps) -> str:
     if not len(there):
         return ""
     i = int(there[np.argmin(copies[there] / holders[there])])
-    return (
-        f"feature {i} has {copies[i]} hypothes{'is' if copies[i] == 1 else 'es'} left among {holders[i]} maps, "
-        f"half of the features at most {np.median(copies[there]):.0f}"
-    )
+    text = f"feature {i} has {copies[i]} hypothes{'is' if copies[i] == 1 else 'es'} left among {holders[i]} maps"
+    return text if len(there) == 1 else f"{text}, half of the features at most {np.median(copies[there]):.0f}"
 
 
 def steps(count: int) -> str:

@@ -7,6 +7,7 @@ import itertools
 import math
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from app import ancestry, colours, session
 from app.recording.errors import RecordingError
 from app.recording.reading import Recording
 from app.recording.writer import Detail, Writer
-from app.types import SessionInfo, SessionStep
+from app.types import FilterUpdate, SessionInfo, SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from slam.genealogy import Genealogy
@@ -319,7 +320,7 @@ def test_what_is_said_of_the_ancestry(steps: list[SessionStep]) -> None:
     founders = len(set(update.genealogy.lineage.tolist()))
     assert 1 < founders < FEWER
     left = update.genealogy.distinct_ancestors()[-1]
-    assert ancestry.words(update) == f"{left} of {FEWER} left after {STEPS} steps; {founders} founders"
+    assert ancestry.words(update) == f"{left} of the {K} of {STEPS} steps ago are left; {founders} founders"
     update = steps[-1].filters["fs1"]
     age = update.genealogy.common_ancestor_age()
     assert age is not None
@@ -328,6 +329,46 @@ def test_what_is_said_of_the_ancestry(steps: list[SessionStep]) -> None:
     copies, _ = maps.hypotheses()
     assert f" {copies.min()} hypothes" in ancestry.scarcest(maps)
     assert ancestry.scarcest(maps.store.empty(3)) == ""
+
+
+def with_ancestors(*ancestors: list[int], founders: int) -> FilterUpdate:
+    genealogy = Genealogy.start(np.zeros((founders, 3)))
+    for step in ancestors:
+        genealogy = genealogy.grow(np.array(step), np.zeros((len(step), 3)))
+    return SimpleNamespace(genealogy=genealogy)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(
+    ("founders", "ancestors", "said"),
+    [
+        (3, [[0, 1, 1], [0, 1, 2]], "2 of 3 left after 2 steps; 2 founders"),
+        (3, [[0, 1, 2], [0, 0, 1, 1, 2, 2]], "all 3 of 2 steps ago are left; 3 founders"),
+        (3, [[0, 1, 1], [0, 1, 2, 2]], "2 of the 3 of 2 steps ago are left; 2 founders"),
+        (3, [[0, 0, 1, 1, 2]], "all 3 of 1 step ago are left; 3 founders"),
+        (3, [[0, 0]], "1 of the 3 of 1 step ago is left; one ancestor 1 step ago"),
+        (1, [[0, 0, 0]], "the only one of 1 step ago is left; one ancestor 1 step ago"),
+        (2, [[0, 1, 1, 0], [0, 1]], "2 of 2 left after 2 steps; 2 founders"),
+    ],
+)
+def test_ancestors_are_left_of_those_that_there_were(founders: int, ancestors: list[list[int]], said: str) -> None:
+    """However many there are now."""
+    assert ancestry.words(with_ancestors(*ancestors, founders=founders)) == said
+
+
+@pytest.mark.parametrize(
+    ("copies", "said"),
+    [
+        ([], ""),
+        ([0], ""),
+        ([3], "feature 0 has 3 hypotheses left among 9 maps"),
+        ([0, 1], "feature 1 has 1 hypothesis left among 9 maps"),
+        ([4, 1, 8], "feature 1 has 1 hypothesis left among 9 maps, half of the features at most 4"),
+    ],
+)
+def test_of_a_single_feature_no_half_is_told(copies: list[int], said: str) -> None:
+    found = np.array(copies, np.int64)
+    maps = SimpleNamespace(hypotheses=lambda: (found, np.where(found > 0, 9, 0)))
+    assert ancestry.scarcest(maps) == said  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("steps", [0, 1, 9, 100, 5000])
