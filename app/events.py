@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.diagnosis.ancestry import FEW, LEAST_N_EFF
 from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
 from scenarios.words import times
@@ -16,9 +17,6 @@ from slam.metrics import nees_interval
 from slam.resampling import wants_resampling
 from slam.types import Floats, Frame, Trace
 from slam.weights import weight_variance
-
-FEW = 0.1
-"""Share of K below which N_eff means that a filter is depleted of hypotheses."""
 
 QUIET = 10
 """[steps] that something must have been away before its return is told."""
@@ -160,7 +158,7 @@ class Watch:
             self._duplicates[key] = measures.duplicates
         if K == 1:
             return
-        if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
+        if self._begins(key, "depleted", trace.n_eff < max(FEW * K, LEAST_N_EFF), step.index):
             yield "depleted", "WARN", _depleted(update, step.frame)
         if trace.did_resample:
             yield "resampled", "DEBUG", _resampled(update, step.params.resample_below)

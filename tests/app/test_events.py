@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from app import session
+from app.diagnosis.ancestry import findings
+from app.diagnosis.evidence import Numbers, record_of
+from app.diagnosis.findings import Case
 from app.events import Blind, Watch
 from app.loops import Loops, right_matches
 from app.recording import Recorder
@@ -242,6 +245,24 @@ def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():
         trace = step.filters["fs1"].trace
         w = trace.weighted.log_w[trace.selected]
         assert w[best_descendant(step.filters["fs1"])] == w.max()
+
+
+@pytest.mark.parametrize(("particles", "limit"), [(2, 1.5), (10, 1.5), (40, 4.0)])
+def test_depleted_means_the_same_as_in_a_diagnosis(particles: int, limit: float):
+    source = build("paper-line")
+    info = session.make_info(source, [ESTIMATORS["fs1"]], source.params(particles=particles), seed=1, count=1)
+    (step,) = session.steps(info)
+    update = step.filters["fs1"]
+    for n_eff in (limit - 0.01, limit, limit + 0.01):
+        trace = update.trace._replace(n_eff=n_eff)
+        numbers = update.evidence.numbers._replace(n_eff=n_eff)
+        made = update._replace(trace=trace, evidence=update.evidence._replace(numbers=numbers))
+        found = Watch({"fs1": "FastSLAM 1.0"}).step(dataclasses.replace(step, filters={"fs1": made}))
+        record = record_of(np.array([1]), Numbers._fields, np.array([numbers]), [made.evidence.observations])
+        diagnosed = findings(Case("fs1", "FastSLAM 1.0", False, {}, record))
+        depleted = n_eff < limit
+        assert ("depleted" in {event.kind for event in found}) is depleted
+        assert ("depleted" in {finding.kind for finding in diagnosed}) is depleted
 
 
 RESAMPLED = re.compile(r"resampled: N_eff (\S+) (?:< (\d+)% of 20|of 20(?:, although not below (\d+)% of K)?); ")
