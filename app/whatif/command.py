@@ -26,8 +26,8 @@ class WhatIf:
     """Run a recorded session again from one of its steps, with other parameters, and show both.
 
     FILE.rrd is made by: dualslam run WORLD|LOG --record FILE.rrd, or on the page of dualslam live. A branch of a live
-    session is FILE.rrd#BRANCH. Up to the step, and without the change after it, the run is the recorded one, bit for
-    bit, which is checked. World and random numbers are the same for both.
+    session, or a run of a lesson, is FILE.rrd#BRANCH. Up to the step, and without the change after it, the run is the
+    recorded one, bit for bit, which is checked. World and random numbers are the same for both.
 
     Example: dualslam whatif loop.rrd --from 143 --set particles=500 --seeds 10
     """
@@ -111,9 +111,9 @@ class WhatIf:
             raise UsageError(f"{'; '.join(told)}: nothing would change")
         warnings = [*origin.info.source.warnings, *told]
         if origin.info.mistake:
-            warnings.append(f"{origin.path} was made with --mistake {origin.info.mistake}, and so are both ways")
+            warnings.append(f"{self.recording} was made with --mistake {origin.info.mistake}, and so are both ways")
         if origin.judged:
-            warnings.append(f"{origin.path} was judged with --relations, and neither way is judged by them here")
+            warnings.append(f"{self.recording} was judged with --relations, and neither way is judged by them here")
         if origin.damaged:
             warnings.append(f"{origin.path} is damaged: it is read as far as that goes, to step {origin.last}")
         changed = {name: value for name, value in values.items() if name not in idle}
