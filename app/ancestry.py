@@ -110,7 +110,5 @@ def scarcest(maps: Maps) -> str:
     if not len(there):
         return ""
     i = int(there[np.argmin(copies[there] / holders[there])])
-    return (
-        f"feature {i} has the fewest hypotheses left, {copies[i]} in {counted(int(holders[i]), 'map')} "
-        f"(median of all features: {np.median(copies[there]):.0f})"
-    )
+    said = f"feature {i} has the fewest hypotheses left, {copies[i]} in {counted(int(holders[i]), 'map')}"
+    return said if len(there) == 1 else f"{said} (median of all features: {np.median(copies[there]):.0f})"

@@ -8,16 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.diagnosis.ancestry import FEW, LEAST_N_EFF
 from app.loops import Distances, Loops, right_matches
 from app.types import FilterUpdate, SessionStep
 from scenarios.words import times
 from slam.features import Point, Wall
 from slam.metrics import nees_interval
+from slam.resampling import wants_resampling
 from slam.types import Floats, Frame, Trace
 from slam.weights import weight_variance
-
-FEW = 0.1
-"""Share of K below which N_eff means that a filter is depleted of hypotheses."""
 
 QUIET = 10
 """[steps] that something must have been away before its return is told."""
@@ -159,7 +158,7 @@ class Watch:
             self._duplicates[key] = measures.duplicates
         if K == 1:
             return
-        if self._begins(key, "depleted", trace.n_eff < max(FEW * K, 1.5), step.index):
+        if self._begins(key, "depleted", trace.n_eff < max(FEW * K, LEAST_N_EFF), step.index):
             yield "depleted", "WARN", _depleted(update, step.frame)
         if trace.did_resample:
             yield "resampled", "DEBUG", _resampled(update, step.params.resample_below)
@@ -247,7 +246,10 @@ def _observation(trace: Trace, i: int, best: int) -> str:
 def _resampled(update: FilterUpdate, threshold: float) -> str:
     trace = update.trace
     K, children = len(trace.weighted.log_w), np.bincount(trace.selected)
-    reason = f"< {threshold:.0%} of {K}" if threshold < 1.0 else f"of {K}"
+    reason = f"of {K}"
+    if threshold < 1.0:  # or else always, whatever N_eff is
+        below = wants_resampling(trace.n_eff, K, threshold)
+        reason = f"< {threshold:.0%} of {K}" if below else f"of {K}, although not below {threshold:.0%} of K"
     return (
         f"resampled: N_eff {trace.n_eff:.1f} {reason}; {np.count_nonzero(children)} live on, "
         f"one {times(int(children.max()))}; {update.measures.diversity:.0%} of the founders left"

@@ -194,6 +194,11 @@ class Genealogy:
         return self._particles
 
     @property
+    def sizes(self) -> Ints:
+        """(steps+1,) how many particles lived after each step, from time zero."""
+        return np.array([len(lineage) for lineage in self._store.lineages[: self._steps + 1]], np.int64)
+
+    @property
     def nodes(self) -> int:
         """Poses that this value holds on to: those of surviving paths, and some not yet pruned."""
         return self._nodes

@@ -39,8 +39,12 @@ class WeightVariance(NamedTuple):
     drawn: float
     """What is left: the pose at which FastSLAM 2.0 weighs, if that is the drawn one."""
     inside: float
-    """Share of the particles for which all they matched, together, lies within the 99 % gate: the likelihood reaches
-    them.  NaN where none has matched anything."""
+    """Share of the particles for which all they matched, together, lies within the 99 % gate, wider by what `temper`
+    makes of it: the likelihood reaches them.  NaN where none has matched anything.
+
+    Squared distances (25) of a chain of updates sum to chi-square with two degrees of freedom for each observation.
+    Where all are taken at the predicted pose they share its error, and fewer than 99 % of a consistent filter's
+    particles are inside: 97 to 90 % with two to six observations."""
     wide: tuple[float, float]
     """Deviation of the innovation between particles over that which each expects, for the first and the second
     component, root mean square over what was matched: far above 1, the proposal is wider than the sensor, and most
@@ -173,8 +177,7 @@ def _sum_over_observations(
     """Of each particle that counts: L, what the first and the second component of what it matched have in it,
     log N(v; 0, V) = log N(v_1; 0, V_11) + log N(v_2 | v_1), and what it did not match.
 
-    Returns how many have matched anything, and how many of these have all of it within the gate together: squared
-    distances (25) of a chain of updates sum to that of all of them.
+    Returns how many have matched anything, and how many of these have all of it within the gate together.
     """
     some, inside = 0, 0
     for k in range(len(w)):
@@ -194,7 +197,7 @@ def _sum_over_observations(
                 matched += 1
                 distance += near + given
             some += matched > 0
-            inside += matched > 0 and distance <= gates[matched]
+            inside += matched > 0 and temper * distance <= gates[matched]
     return some, inside
 
 

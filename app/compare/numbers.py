@@ -61,7 +61,10 @@ class Filter(NamedTuple):
         return nees_text(column.series["nees"]) if row.key == NEES else row.text(column.values[row.key])
 
     def difference(self, row: Row, column: Column) -> float:
-        """From the first column, in SI units and radians; NaN where one of the two is not known or infinite."""
+        """From the first column, in SI units and radians; NaN where one of the two is not known or infinite, or has a
+        NEES that is infinite at some steps, which are in no mean."""
+        if row.key == NEES and any(np.isinf(one.series["nees"]).any() for one in (column, self.columns[0])):
+            return math.nan
         mine, first = column.values[row.key], self.columns[0].values[row.key]
         return mine - first if math.isfinite(mine) and math.isfinite(first) else math.nan
 

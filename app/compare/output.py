@@ -7,6 +7,7 @@
      "said": [sentence, ...],                what differs, in words
      "study": [text, ...],                   what to do about luck
      "runs": [{"name", "file", "branch" (null: the run itself), "world", "title", "kind", "seed", "command",
+        "mistake": name | null,             that its filters make on purpose
         "steps": n, "asked": n, "damaged": bool,
         "params": {every field of slam.types.Params}, "noise": {...} | null, "options": {...}, "versions": {...},
         "changes": [[step, sentence], ...],
@@ -144,6 +145,7 @@ def _run(run: Run, found: Comparison) -> dict[str, Any]:
         "file": str(run.path),
         "branch": run.branch or None,
         **{name: told[name] for name in ("world", "title", "kind", "seed", "command")},
+        "mistake": told.get("mistake"),
         "steps": len(run.steps),
         "asked": told["steps"],
         "damaged": run.damaged,

@@ -66,7 +66,7 @@ PLOTS = (
     Plot(
         "nees",
         "NEES of the position (10⁶: infinite)",
-        lambda s: np.clip(s["nees"], LOG_FLOOR, LOG_TOP),
+        lambda s: _clipped(s["nees"]),
         logarithmic=True,
     ),
     Plot("n-eff", "N_eff [particles]", lambda s: s["n_eff"], population=True),

@@ -115,7 +115,13 @@ def _odd(runs: Sequence[Run]) -> Iterator[str]:
         there = {other.branch for other in runs if other.path == run.path}
         left = [f"{run.path}{BRANCH_MARK}{branch}" for branch in run.branches if branch not in there]
         if left and not run.branch:
-            yield f"{run.name} is the first run of a live session; it went on differently as {', '.join(left)}"
+            yield f"{run.name} is the first of several runs in {run.path}; {_others(left)}"
+        if run.told.get("mistake"):
+            yield f"{run.name} is wrong on purpose: {run.told['mistake']}"
+
+
+def _others(names: list[str]) -> str:
+    return f"the other is {names[0]}" if len(names) == 1 else f"the others are {', '.join(names)}"
 
 
 def _steps(found: Comparison) -> str:
@@ -233,8 +239,10 @@ def no_statistics(found: Comparison) -> list[str]:
     """That single runs say little, and what would say more: a sentence, then commands."""
     if all_the_same(found):
         return ["nothing differs but the clock: these are the same runs"]
-    text = "one run each is no statistics: with another seed a difference may be another one; a study says how much:"
-    return [text, *study_commands(found.runs)]
+    text = "one run each is no statistics: with another seed a difference may be another one"
+    if any(run.branch or run.told.get("mistake") for run in found.runs):  # which no study has
+        return [text]
+    return [f"{text}; a study says how much:", *study_commands(found.runs)]
 
 
 def study_commands(runs: Sequence[Run]) -> list[str]:

@@ -34,7 +34,7 @@ def read_cases(path: Path, branch: str = "") -> Cases:
 
     Raises `UsageError` for a branch that is not there, and `RecordingError` for what cannot be read.
     """
-    recording = Recording(path, below=["/evidence", "/plots", "/events", *(["/branch"] if branch else [])])
+    recording = _opened(path, branch)
     branches = recording.branches()
     if branch and branch not in branches:
         has = f"it has {', '.join(branches)}" if branches else "it has none"
@@ -58,6 +58,15 @@ def read_cases(path: Path, branch: str = "") -> Cases:
     cases = [Case(key, ESTIMATORS[key].title, walls, params, record, log) for key, record in records.items()]
     heading = f"{told['world']}, seed {told['seed']}, step {last} of {asked}" + (f", branch {branch}" if branch else "")
     return Cases(told["world"], heading, cases, warnings)
+
+
+def _opened(path: Path, branch: str) -> Recording:
+    """With what is needed only: plots, most of what is read, where there is no evidence."""
+    wanted = ["/evidence", "/events", *(["/branch"] if branch else [])]
+    recording = Recording(path, below=wanted)
+    if all(f"/evidence/{key}" in recording.entities for key in recording.filters()):
+        return recording
+    return Recording(path, below=[*wanted, "/plots"])
 
 
 def _records(recording: Recording, branch: str) -> dict[str, Record]:

@@ -57,6 +57,8 @@ class Teach:
         if own:
             raise UsageError(f"unknown option {next(iter(own))}; dualslam lesson --help lists them")
         out = Console(highlight=False)
+        if self.no_browser and not self.live:
+            raise UsageError("--no-browser is for the page of a lesson; expected --live beside it")
         if self.list or not self.name:
             if self.record or self.out or self.live:
                 raise UsageError("lesson needs the NAME of a lesson for that (dualslam lesson --list)")
@@ -65,8 +67,6 @@ class Teach:
         lesson = lesson_named(self.name)
         if self.live:
             return self._live(lesson)
-        if self.no_browser:
-            raise UsageError("--no-browser is for the page of a lesson; expected --live beside it")
         return Lecture(lesson, self.seed, self._files(lesson), out).give()
 
     def _files(self, lesson: Lesson) -> Files:

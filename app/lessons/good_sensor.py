@@ -47,7 +47,7 @@ the coarse or the hundred times better one? And if one of them starves it, how m
 - **Particles** at the first steps, on the timeline `stage`: *predicted* is a cloud some centimetres wide,
   *weighted* a single bright dot. The place where the likelihood is large is millimetres wide; whoever is
   nearest takes all.
-- **N_eff and diversity**: N_eff close to one at every step, diversity 1/K from the third step on.
+- **N_eff and diversity**: N_eff close to one at every step, diversity 1/K within a few steps.
 - **Ancestry**: one line, with everything else cut off at once.""",
     point="""\
 A particle filter that proposes without looking at the observation needs particles as dense as the sensor is

@@ -127,7 +127,7 @@ def metres(value: float) -> str:
 
 
 def count(value: float) -> str:
-    """Three digits, and words for what is beyond them."""
+    """Two digits, or all before the point; words for what is infinite."""
     if math.isnan(value):
         return "-"
     if math.isinf(value):

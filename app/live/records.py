@@ -44,6 +44,8 @@ class Records:
         self._lock = threading.RLock()
         self._publisher: Publisher | None = None
         self._path: Path | None = None
+        self._former: list[tuple[Publisher, Path]] = []
+        """Of sessions before a reset: they may be at work still."""
         self._told = ""
         self._saved_at = 0.0
         engine.before_reset = self._before_reset
@@ -78,17 +80,11 @@ class Records:
                 return "nothing is being recorded"
             publisher.release()
             self._engine.remove(publisher)
-            done = publisher.join(PATIENCE)
-            self._publisher = None
+            former = [_completed(*one) for one in self._former]
+            told = _completed(publisher, path)
+            self._publisher, self._former = None, []
             self._save(path)
-            steps = counted(publisher.published, "step")
-            if publisher.error:
-                self._told = f"**lost**: {publisher.error} ({steps} of {path})"
-            elif not done:
-                self._told = f"**{path} could not be completed in {PATIENCE:g} s**; it has what was written until then"
-            else:
-                size = path.stat().st_size / 1e6 if path.exists() else 0.0
-                self._told = f"saved {path}: {steps}, {size:.1f} MB"
+            self._told = "; ".join([*(text for text in former if not text.startswith("saved")), told])
             return self._told
 
     def keep(self) -> None:
@@ -136,6 +132,7 @@ class Records:
             self._path = self._free(path.stem, path.parent)
             self._publisher = Publisher(self._make(self._path), "wait", FILE_STEPS)
             self._engine.replace(old, self._publisher)
+            self._former.append((old, path))
         finally:
             self._lock.release()
 
@@ -146,6 +143,17 @@ class Records:
             if not path.exists() and not path.with_suffix(".json").exists():
                 return path
         raise UsageError(f"there are a thousand recordings called {name}; expected another name")
+
+
+def _completed(publisher: Publisher, path: Path) -> str:
+    """Wait until a file has everything; what has become of it."""
+    done, steps = publisher.join(PATIENCE), counted(publisher.published, "step")
+    if publisher.error:
+        return f"**lost**: {publisher.error} ({steps} of {path})"
+    if not done:
+        return f"**{path} could not be completed in {PATIENCE:g} s**; it has what was written until then"
+    size = path.stat().st_size / 1e6 if path.exists() else 0.0
+    return f"saved {path}: {steps}, {size:.1f} MB"
 
 
 def _check_replaceable(path: Path) -> None:

@@ -98,10 +98,10 @@ def look_of_cursor() -> rr.LineStrips2D:
 
 
 def lag_curve(lags: Ints, left: Ints, steps: int, particles: int) -> rr.LineStrips2D:
-    """How many distinct ancestors the living had, left (n,), so many steps ago, lags (n,), in a run of so many steps:
-    both axes logarithmic."""
+    """How many distinct ancestors the living had, left (n,), so many steps ago, lags (n,), in a run of so many steps
+    and no more than so many particles: both axes logarithmic."""
     x = CURVES + CURVES_WIDTH * np.log10(1.0 + lags) / np.log10(1.0 + max(steps, 1))
-    share = np.minimum(np.log10(left) / np.log10(max(particles, 2)), 1.0)
+    share = np.log10(left) / np.log10(max(particles, 2))
     y = HEIGHT - (HEIGHT - CURVES_TOP) * share
     return rr.LineStrips2D.from_fields(strips=arrow.strips(np.stack([x, y], axis=1), [len(lags)]))
 

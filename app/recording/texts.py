@@ -49,6 +49,27 @@ where they lie twice, or beside the walls of the map, something is wrong. With `
 colour of a filter lead from where its path has the robot to where a relation between two scans has it; the page
 *Relations* says how far that is."""
 
+VIEWS = """\
+**Plots.** N_eff says how many particles still count; below the grey line the filter resamples. It is
+blind to copies: when all particles are clones of one, N_eff is K. Diversity is the share of the particles of the
+beginning that have descendants. NEES compares the error with what the filter believes of it:
+above the band it is overconfident, below it too modest. At the upper border of its plot it is infinite.
+
+**Ancestry.** From left to right the run until the present step, which is the white line. On the right are the
+particles of the present (a sample, if there are many), and the lines lead to them from their ancestors: where two meet
+is an ancestor that they have in common. A line is the thicker the more descend from it. Its colour is that of its
+founder, the same as of the paths on the map of that filter; what all have in common has the colour of the filter. When
+all descend from one founder the living become founders, so that colours begin anew. Dim lines died out. The curves
+beside it say how many different ancestors the particles had so many steps back, both on logarithmic scales.
+
+**Hypotheses** counts, for every feature, how many different versions of it are left among the maps of all particles:
+one means that all have the same, and that no weight can choose. **Weights** are times K, largest first: equal weights
+are a row of ones.
+
+**Timelines.** `step` has one picture for each observing step, with the weights of that step. `stage` has three:
+*predicted*, *weighted*, *resampled*; choose it in the panel below and go through them with the arrow keys. `sim_time`
+is the time of the world or log."""
+
 PACKAGES = ("dual-fastslam-workbench", "numpy", "scipy", "numba", "rerun-sdk")
 
 
@@ -80,25 +101,7 @@ hides for clarity can be switched on in the panel on the left.
 
 {features}
 
-**Plots.** N_eff says how many particles still count; below the grey line the filter resamples. It is
-blind to copies: when all particles are clones of one, N_eff is K. Diversity is the share of the particles of the
-beginning that have descendants. NEES compares the error with what the filter believes of it:
-above the band it is overconfident, below it too modest. At the upper border of its plot it is infinite.
-
-**Ancestry.** From left to right the run until the present step, which is the white line. On the right are the
-particles of the present (a sample, if there are many), and the lines lead to them from their ancestors: where two meet
-is an ancestor that they have in common. A line is the thicker the more descend from it. Its colour is that of its
-founder, the same as of the paths on the map of that filter; what all have in common has the colour of the filter. When
-all descend from one founder the living become founders, so that colours begin anew. Dim lines died out. The curves
-beside it say how many different ancestors the particles had so many steps back, both on logarithmic scales.
-
-**Hypotheses** counts, for every feature, how many different versions of it are left among the maps of all particles:
-one means that all have the same, and that no weight can choose. **Weights** are times K, largest first: equal weights
-are a row of ones.
-
-**Timelines.** `step` has one picture for each observing step, with the weights of that step. `stage` has three:
-*predicted*, *weighted*, *resampled*; choose it in the panel below and go through them with the arrow keys. `sim_time`
-is the time of the world or log.
+{VIEWS}
 
 ## What is recorded
 

@@ -98,6 +98,28 @@ class Trunk(NamedTuple):
     """That of the branch that it left, empty for the run itself."""
 
 
+class TruePath:
+    """Where the robot was, as far as anybody knows."""
+
+    def __init__(self) -> None:
+        self.stretches: list[list[Floats]] = []
+        """Of the path along which the truth is known."""
+        self.lost = False
+        """Whether nobody has known it since, for longer than `TRUTH_GAP`."""
+        self._seen = -math.inf
+        """[s] when it was known last."""
+
+    def add(self, truth: Floats | None, time: float) -> None:
+        """One more pose (3,), at a time [s], if it is known."""
+        if truth is not None and known(truth):
+            if self.lost or not self.stretches:
+                self.stretches.append([])
+            self.stretches[-1].append(truth)
+            self._seen, self.lost = time, False
+        elif self.stretches and time - self._seen > TRUTH_GAP:
+            self.lost = True
+
+
 class Writer:
     """One recording that is being written, or a branch of one."""
 
@@ -112,8 +134,7 @@ class Writer:
     ) -> None:
         """`aspect` is the width over the height of the map view; `trunk` is what a branch belongs to (`fork`); `judge`
         knows where paths break relations; `lesson` is what this run is called in a lesson, and its text, Markdown."""
-        self._info = info
-        self._judge = judge
+        self._info, self._judge, self._trunk = info, judge, trunk
         self._last: SessionStep | None = None
         self._pace = Pace(DUTY)
         self._pictured = 0
@@ -124,40 +145,15 @@ class Writer:
         """The last step of which relations were written."""
         self._limits = limits_for(info.steps)
         self._features = walls if isinstance(info.source.feature, Wall) else landmarks
-        titles = {key: estimator.title for key, estimator in ESTIMATORS.items()}
-        self._watch = Watch(titles, info.source.has_clock)
-        self._truth: list[list[Floats]] = []
-        """Stretches of the path along which the truth is known."""
-        self._truth_seen = -math.inf
-        """[s] when the truth was known last."""
-        self._truth_lost = False
-        """Whether nobody has known it since, for longer than `TRUTH_GAP`."""
+        self._watch = Watch({key: estimator.title for key, estimator in ESTIMATORS.items()}, info.source.has_clock)
+        self._truth = TruePath()
         self._matched: list[Floats] = []
         self._odometry: list[Floats] = [] if trunk else [np.asarray(info.source.start, float)]
-        first = info.source.steps[0].frame.time if info.source.steps else 0.0
-        self._time_origin = first if abs(first) > EPOCH else 0.0
-
-        extent = extent_of(info.source, info.steps)
-        self._size, self._height = extent.size, extent.eye_height(aspect)
-        self._lift = scene.LIFT * self._height
-        self._survey = None if is_charted(info.source, info.steps) else Survey(extent)
-        self._scanned = None if info.source.scans is None else Scanned(info.source)
-        if trunk is not None:  # of one session
-            self._survey, self._scanned = copy.copy(trunk.writer._survey), trunk.writer._scanned
-            extent = trunk.writer._shown.extent
+        self._time_origin = _origin(info)
         self._picked = ""
         """The filter of which a particle is shown that somebody looks at."""
         self._unit: dict[str, float] = {}
         self._labelled: dict[str, float] = {}
-        known_of_it = known_of(info.source, info.steps) | ({"relations"} if judge is not None else set())
-        self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
-        if trunk is not None:
-            self._shown = self._shown._replace(
-                prefix=trunk.prefix, label=trunk.label, lesson=trunk.writer._shown.lesson
-            )
-        if lesson is not None:
-            self._shown = self._shown._replace(label=lesson[0], lesson=LESSON)
-        self._trunk = trunk
         self._rank = 0 if trunk is None else 1 + len(trunk.writer._branches)
         """Among a run and its branches."""
         landmarks_there = 0 if info.source.true_map is None else len(info.source.true_map.theta)
@@ -166,11 +162,38 @@ class Writer:
         self._branches: dict[str, Writer] = {}
         self._axis = 0
         """[steps] of the time axis of the ancestry picture; 0 before there is one."""
+        self._most = 0
+        """The largest number of particles so far."""
+        self._scale = 0
+        """The one that the axis of what is left of the ancestors has; 0 before there is one."""
         self._descended: dict[str, int] = {}
         """By filter the last step of which the ancestors are written."""
         self._on = {f.key for f in info.filters}
+        self._survey_ground(aspect)
         self._arrange()
-        title = self._shown.named(f"{info.source.name}, seed {info.seed}")
+        self._begin(open_stream, lesson)
+
+    def _survey_ground(self, aspect: float) -> None:
+        """How large the world is, what all scans met, and what the windows show of it at first."""
+        info, extent = self._info, extent_of(self._info.source, self._info.steps)
+        self._size, self._height = extent.size, extent.eye_height(aspect)
+        self._lift = scene.LIFT * self._height
+        self._survey = None if is_charted(info.source, info.steps) else Survey(extent)
+        self._scanned = None if info.source.scans is None else Scanned(info.source)
+        known_of_it = known_of(info.source, info.steps) | ({"relations"} if self._judge is not None else set())
+        self._shown = Shown(tuple(info.filters), extent, known_of_it, self._features.LEGEND, aspect=aspect)
+        if self._trunk is not None:  # of one session
+            of_run, trunk = self._trunk.writer, self._trunk
+            self._survey, self._scanned = copy.copy(of_run._survey), of_run._scanned
+            self._shown = self._shown._replace(
+                extent=of_run._shown.extent, prefix=trunk.prefix, label=trunk.label, lesson=of_run._shown.lesson
+            )
+
+    def _begin(self, open_stream: OpenStream, lesson: tuple[str, str] | None) -> None:
+        """Open the stream, and write what does not change."""
+        if lesson is not None:
+            self._shown = self._shown._replace(label=lesson[0], lesson=LESSON)
+        title = self._shown.named(f"{self._info.source.name}, seed {self._info.seed}")
         self._stream = open_stream(layout_of_branches([self._shown]), title)
         self._write_static()
         if lesson is not None:
@@ -361,7 +384,6 @@ class Writer:
                 log(f"genealogy/frame/{f.key}", charts.ancestry_frame(self._bands[f.key], rgb))
                 log(f"genealogy/{f.key}/lags", charts.look_of_lag_curve(rgb))
                 log(f"genealogy/{f.key}/words", charts.look_of_words(self._bands[f.key], rgb))
-        log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._info.params.particles))
         log("genealogy/cursor", charts.look_of_cursor())
 
     def _curve(self, rgb: colours.RGB) -> colours.RGB:
@@ -387,15 +409,11 @@ class Writer:
             self.show()
 
     def _remember(self, step: SessionStep) -> None:
-        """Where the robot was, and where dead reckoning was; also of steps of which there is no picture."""
-        self._last = step
-        if step.truth is not None and known(step.truth):
-            if self._truth_lost or not self._truth:
-                self._truth.append([])
-            self._truth[-1].append(step.truth)
-            self._truth_seen, self._truth_lost = step.frame.time, False
-        elif self._truth and step.frame.time - self._truth_seen > TRUTH_GAP:
-            self._truth_lost = True
+        """Where the robot and dead reckoning were, and the largest K; also of steps of which there is no picture."""
+        if self._last is None:  # steps before this recording, or before the branch left, had another K maybe
+            self._most = max((int(u.genealogy.sizes.max()) for u in step.filters.values()), default=0)
+        self._last, self._most = step, max(self._most, step.params.particles)
+        self._truth.add(step.truth, step.frame.time)
         self._odometry.append(step.odometry)
         if step.matched is not None:
             self._matched.append(step.matched)
@@ -405,11 +423,11 @@ class Writer:
         z, length, log = self._lift, self._size / 30, self._stream.log
         if step.truth is not None and known(step.truth):
             log("world/truth/robot", *scene.robot(step.truth, scene.TRUTH * z, length))
-        elif self._truth_lost:
+        elif self._truth.lost:
             log("world/truth/robot", rr.Clear(recursive=False))  # nobody knows where it is
-        if redraw and self._truth:
-            share = max(2, self._limits.vertices // len(self._truth))
-            paths = [thinned(np.array(stretch), share) for stretch in self._truth if len(stretch) > 1]
+        if redraw and self._truth.stretches:
+            share = max(2, self._limits.vertices // len(self._truth.stretches))
+            paths = [thinned(np.array(stretch), share) for stretch in self._truth.stretches if len(stretch) > 1]
             log("world/truth/path", scene.lines(paths, scene.TRUTH * z))
         if redraw:
             path = thinned(np.array(self._odometry), self._limits.vertices)
@@ -494,19 +512,22 @@ class Writer:
 
     def _write_descent(self, step: SessionStep, picture: bool) -> None:
         """What of the ancestry is cheap enough for every step: how many are left, by lag and in words, and the cursor;
-        with a new picture, a time axis that is long enough until the next one."""
+        with a new picture, a time axis that is long enough until the next one; and after K grew, another scale."""
         first, last = self._bands[self._many[0]], self._bands[self._many[-1]]
         axis = charts.time_axis(step.index + self._limits.pictures - 1, self._info.steps)
         if picture and axis != self._axis:
             self._axis = axis
             self._stream.log("genealogy/frame/time", charts.time_marks(last, axis))
+        if self._most != self._scale:
+            self._scale = self._most
+            self._stream.log("genealogy/frame/lags", *charts.lag_frame(self._info.steps, self._scale))
         lags = ancestry.lags(step.index)
         back = pa.array(lags, pa.int32())
         for f in self._shown.filters:
             update = step.filters.get(f.key)
             if update is not None and f.key in self._many:
                 left = update.genealogy.distinct(lags)
-                curve = charts.lag_curve(lags, left, self._info.steps, self._info.params.particles)
+                curve = charts.lag_curve(lags, left, self._info.steps, self._scale)
                 numbers = rr.AnyValues(steps_back=back, ancestors=pa.array(left, pa.int32()))
                 self._stream.log(f"genealogy/{f.key}/lags", curve, numbers)
                 said = f"{ESTIMATORS[f.key].title}: {ancestry.brief(update)}"  # no mistakes: views are narrow
@@ -568,3 +589,9 @@ class Writer:
 def _spread(covariance: Floats) -> float:
     """[m] two standard deviations in the worst direction of the plane; of a covariance (3, 3)."""
     return scene.SIGMAS * float(ellipse_axes(covariance[:2, :2])[0][0])
+
+
+def _origin(info: SessionInfo) -> float:
+    """[s] where `sim_time` begins."""
+    first = info.source.steps[0].frame.time if info.source.steps else 0.0
+    return first if abs(first) > EPOCH else 0.0

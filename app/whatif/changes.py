@@ -26,6 +26,16 @@ def changes_of(recording: Recording, branch: str, first: int) -> list[Change]:
     return list(found.values())
 
 
+def filters_at_end(recording: Recording, branch: str) -> list[str]:
+    """Keys of those that were on when a branch, or the run itself, ended."""
+    keys = [told["key"] for told in recording.params(branch)["filters"]]
+    for event in recording.events(f"{root_of(branch)}events"):
+        name, _, values = event.text.partition(CHANGED)[2].partition(": ")
+        if name == "filters":
+            keys = values.partition(" -> ")[2].split()
+    return keys
+
+
 def _made(kind: type[Any], told: Values, path: Path) -> Any:
     """Parameters as they were recorded; those that an earlier version did not have are what they are by default."""
     hints = get_type_hints(kind)

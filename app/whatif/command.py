@@ -26,8 +26,8 @@ class WhatIf:
     """Run a recorded session again from one of its steps, with other parameters, and show both.
 
     FILE.rrd is made by: dualslam run WORLD|LOG --record FILE.rrd, or on the page of dualslam live. A branch of a live
-    session is FILE.rrd#BRANCH. Up to the step, and without the change after it, the run is the recorded one, bit for
-    bit, which is checked. World and random numbers are the same for both.
+    session, or a run of a lesson, is FILE.rrd#BRANCH. Up to the step, and without the change after it, the run is the
+    recorded one, bit for bit, which is checked. World and random numbers are the same for both.
 
     Example: dualslam whatif loop.rrd --from 143 --set particles=500 --seeds 10
     """
@@ -100,7 +100,8 @@ class WhatIf:
                 f"--steps is {last}, and {origin.info.source.name} has {len(origin.info.source.steps)} of them"
             )
         if self.first > origin.last:
-            raise UsageError(f"--from is {self.first}; {self.recording} has steps 1 to {origin.last}")
+            cut = "is damaged, and only " if origin.damaged else ""
+            raise UsageError(f"--from is {self.first}; {self.recording} {cut}has steps 1 to {origin.last}")
         if self.first > last:
             raise UsageError(f"--from is {self.first}, and --steps {last}: no step is left to change")
         was = values_of(origin.at(self.first))
@@ -110,9 +111,9 @@ class WhatIf:
             raise UsageError(f"{'; '.join(told)}: nothing would change")
         warnings = [*origin.info.source.warnings, *told]
         if origin.info.mistake:
-            warnings.append(
-                f"{origin.path} was made with --mistake {origin.info.mistake}, and so are both ways"
-            )
+            warnings.append(f"{self.recording} was made with --mistake {origin.info.mistake}, and so are both ways")
+        if origin.judged:
+            warnings.append(f"{self.recording} was judged with --relations, and neither way is judged by them here")
         if origin.damaged:
             warnings.append(f"{origin.path} is damaged: it is read as far as that goes, to step {origin.last}")
         changed = {name: value for name, value in values.items() if name not in idle}

@@ -19,8 +19,9 @@ from app.session import interruptible
 from app.summary import dump
 from app.types import SessionStep
 from app.whatif.fork import Made, Plan, made
+from app.whatif.former import Former
 from app.whatif.numbers import Tallies, side_by_side, spreads_of, title
-from app.whatif.output import as_dict, spread_table
+from app.whatif.output import as_dict, spread_table, with_titles
 from app.whatif.words import UNTOLD, on_luck, question, sentences
 
 if TYPE_CHECKING:
@@ -42,6 +43,10 @@ class Execution:
         self._branch: Callable[[SessionStep], None] | None = None
         self._apart = False
         """Whether the run was found to be another one than the recorded."""
+        self._refused = False
+        """Whether that was before the fork: then there is no answer, and nothing worth a recording."""
+        self._recorded = 0
+        """Steps that were given to the recorder."""
         self._err = Console(stderr=True, highlight=False)
 
     def run(self) -> int:
@@ -66,12 +71,13 @@ class Execution:
         return 0
 
     def _run(self, interrupts: Interrupts) -> None:
-        info, bar = self._plan.origin.info, ProgressBar(self._err)
+        info, bar = self._plan.info, ProgressBar(self._err)
         bar.begin(info._replace(steps=self._plan.work))
+        former: Former | None = None
         try:
             if self._recorder is not None:
                 with interrupts.shield():
-                    self._recorder.begin(info)
+                    former = self._begin(self._recorder)
             for count, one in enumerate(interruptible(made(self._plan), interrupts), 1):
                 with interrupts.shield():
                     self._take(one)
@@ -79,8 +85,34 @@ class Execution:
         finally:
             with interrupts.shield():
                 bar.end()
-                if self._recorder is not None:
-                    self._recorder.end()
+                self._end(former)
+
+    def _begin(self, recorder: Recorder) -> Former:
+        """Open the recording; what it writes over."""
+        former = Former(recorder.path)
+        try:
+            recorder.begin(self._plan.info)
+        except BaseException:  # nothing was written
+            former.forget()
+            raise
+        return former
+
+    def _end(self, former: Former | None) -> None:
+        """Complete the recording, unless it is of no use: then all is as it was before."""
+        if self._recorder is None or former is None:
+            return
+        try:
+            self._recorder.end()
+        finally:
+            if self._useful:
+                former.forget()
+            else:
+                former.restore()
+
+    @property
+    def _useful(self) -> bool:
+        """Whether there is something in the recording that anybody could want."""
+        return self._recorded > 0 and not self._refused
 
     def _take(self, one: Made) -> None:
         """One more step."""
@@ -93,6 +125,7 @@ class Execution:
     def _record(self, one: Made) -> None:
         if self._recorder is None:
             return
+        self._recorded += 1
         if not one.changed:
             self._recorder.step(one.step)
             return
@@ -107,6 +140,7 @@ class Execution:
         if departure is None:
             return
         if not departure.small and step.index < self._plan.first:
+            self._refused = True
             raise UsageError(self._plan.origin.apart(departure))
         if not self._apart:
             self._apart = True
@@ -118,16 +152,16 @@ class Execution:
 
     def _answer(self) -> bool:
         """Say and save what there is; whether anything is saved."""
-        recorded = self._recorder is not None and self._recorder.path.exists()
         if self._tallies.done:
             self._say()
-        if recorded and self._recorder is not None:
+        if self._useful and self._recorder is not None:
             path = self._recorder.path
             self._print(f"recording: {path}   (open it with: rerun {shlex.quote(str(path))})")
-        return recorded or (self._summary is not None and self._tallies.done > 0)
+        return self._useful or (self._summary is not None and self._tallies.done > 0)
 
     def _say(self) -> None:
-        found, spreads = side_by_side(self._tallies), spreads_of(self._tallies)
+        found = with_titles(side_by_side(self._tallies), self._plan.info)
+        spreads = spreads_of(self._tallies)
         count = len(self._tallies.others())
         said = [question(self._plan), *sentences(found, self._plan.first)]
         luck = on_luck(spreads, found, count) if spreads else [UNTOLD]

@@ -43,10 +43,16 @@ class Plan(NamedTuple):
         return with_values(now, self.values) if changed and step >= self.first else now
 
     @property
+    def info(self) -> SessionInfo:
+        """The unchanged way, which may be run further than it was recorded."""
+        info = self.origin.info
+        return info._replace(steps=max(info.steps, self.last))
+
+    @property
     def changed_info(self) -> SessionInfo:
         """The changed way, as a session of its own."""
         now = self.settings(self.first, changed=True)
-        return self.origin.info._replace(params=now.params, noise=now.noise or self.origin.info.noise)
+        return self.info._replace(params=now.params, noise=now.noise or self.info.noise)
 
 
 class Made(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from app.compare.numbers import Comparison, compare
 from app.compare.runs import Numbers, Run, Seen
 from app.recording import texts
-from app.rows import CLOCKS, ROWS, Row
+from app.rows import CLOCKS, NEES, ROWS, Row
 from app.whatif.fork import Made, Plan, Tally
 from app.whatif.settings import shown
 from slam.features import Wall
@@ -106,9 +106,16 @@ class Spread(NamedTuple):
         return int(np.sum(self.changed > self.unchanged))
 
     @property
+    def certain(self) -> bool:
+        """Whether there is no luck in it: with all random numbers it is the same, as where nothing is drawn."""
+        return bool(np.all(self.unchanged == self.unchanged[0]) and np.all(self.changed == self.changed[0]))
+
+    @property
     def luck(self) -> float:
         """How probable it is that one of the two is the larger as often as this, or more often, were there no effect:
-        the sign test, two-sided."""
+        the sign test, two-sided.  NaN where there is no luck in it."""
+        if self.certain:
+            return math.nan
         n, most = self.lower + self.higher, max(self.lower, self.higher)
         tail = sum(math.comb(n, k) for k in range(most, n + 1)) / 2.0**n
         return min(1.0, 2.0 * tail)
@@ -120,10 +127,15 @@ def spreads_of(tallies: Tallies) -> dict[str, list[Spread]]:
     pairs = [(a.series(), b.series()) for a, b in tallies.others()]
     for key in pairs[0][0] if pairs else ():
         for row in ROWS:
-            values = np.array([[row.value(way[key]) for way in pair] for pair in pairs])
+            values = np.array([[_value(row, way[key]) for way in pair] for pair in pairs])
             if row.key not in CLOCKS and not np.isnan(values).any():
                 found.setdefault(key, []).append(Spread(row, values[:, 0], values[:, 1]))
     return found
+
+
+def _value(row: Row, series: dict[str, Floats]) -> float:
+    """A NEES that is infinite anywhere is infinite as a whole: the mean of the others would hide that."""
+    return math.inf if row.key == NEES and np.isinf(series["nees"]).any() else row.value(series)
 
 
 def quantiles(values: Floats) -> dict[str, Any]:

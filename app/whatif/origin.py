@@ -18,7 +18,7 @@ from app.run import SessionOptions, options_of_command
 from app.session import Change
 from app.sources import LogParts, load
 from app.types import SessionInfo, SessionStep
-from app.whatif.changes import changes_of
+from app.whatif.changes import changes_of, filters_at_end
 from app.whatif.settings import Values
 from scenarios.registry import build, worlds
 from scenarios.types import Source, SourceError
@@ -56,36 +56,51 @@ class Recorded:
     def __init__(self) -> None:
         self._plots: dict[tuple[str, str], dict[int, float]] = {}
         self._truth: dict[int, Floats] = {}
+        self._whole: dict[str, set[int]] = {}
+        """By filter, the steps of which all numbers are there: at the end of a damaged file some may be missing."""
+        self._at_end: list[str] = []
+        """Filters that were on then."""
 
-    def add(self, recording: Recording, root: str, first: int, last: float) -> None:
-        """Steps `first` to `last` of the run itself, or of a branch."""
+    def add(self, recording: Recording, branch: str, first: int, last: float) -> None:
+        """Steps `first` to `last` of the run itself, or of a branch; the last one that is added is that of the end."""
+        root = root_of(branch)
         for key in ESTIMATORS:
-            for metric in METRICS:
-                entity = f"{root}plots/{metric.name}/{key}"
-                if metric.name in CLOCKS or "step" not in recording.timelines(entity):
-                    continue
-                found = zip(*map(np.ndarray.tolist, recording.series(entity)), strict=True)
-                there = {step: value for step, value in found if first <= step <= last}
-                if there:
-                    self._plots.setdefault((key, metric.name), {}).update(there)
+            self._add_plots(recording, root, key, first, last)
         for step, (points, *_) in recording.points(f"{root}world/truth/robot", "Points3D:positions").items():
             if first <= step <= last and len(points):
                 self._truth[step] = points[0]
+        self._at_end = filters_at_end(recording, branch)
+
+    def _add_plots(self, recording: Recording, root: str, key: str, first: int, last: float) -> None:
+        steps: list[set[int]] = []
+        for metric in METRICS:
+            entity = f"{root}plots/{metric.name}/{key}"
+            if "step" not in recording.timelines(entity):
+                continue
+            found = zip(*map(np.ndarray.tolist, recording.series(entity)), strict=True)
+            there = {step: value for step, value in found if first <= step <= last}
+            if there:
+                steps.append(set(there))
+                if metric.name not in CLOCKS:
+                    self._plots.setdefault((key, metric.name), {}).update(there)
+        if steps:
+            self._whole.setdefault(key, set()).update(set.intersection(*steps))
 
     @property
     def keys(self) -> list[str]:
         """Of the filters that were ever on."""
-        there = {key for key, _ in self._plots}
-        return [key for key in ESTIMATORS if key in there]
+        return [key for key in ESTIMATORS if self._whole.get(key)]
 
     @property
     def span(self) -> tuple[int, int]:
-        """The first and the last step."""
-        steps = [step for (_, metric), plot in self._plots.items() if metric == "n_eff" for step in plot]
-        return min(steps), max(steps)
+        """The first step, and the last that all filters have that were on at the end."""
+        first = min(min(self._whole[key]) for key in self.keys)
+        at_end = [key for key in self.keys if key in self._at_end] or self.keys
+        return first, min(max(self._whole[key]) for key in at_end)
 
     def departure(self, step: SessionStep) -> Departure | None:
-        """What is not as it was recorded: the largest difference, if there are several; None if all is the same."""
+        """What is not as it was recorded: the first difference that is not small, or else the first; None if all is the
+        same."""
         found = [*self._moved(step)]
         for (key, name), plot in self._plots.items():
             if step.index in plot and key in step.filters:
@@ -123,6 +138,8 @@ class Origin(NamedTuple):
     places: list[str]
     """Files that it was made of."""
     damaged: bool
+    judged: bool
+    """Whether its paths were judged by relations, which no recording has."""
 
     @property
     def last(self) -> int:
@@ -182,7 +199,7 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
     if branch and branch not in branches:
         has = f"it has {', '.join(branches)}" if branches else "it has none"
         raise UsageError(f"{path} has no branch {branch!r}; {has}")
-    told = recording.params()
+    told = recording.params(branch)  # each run of a lesson has its own world and filters
     recorded, changes = _line(recording, branch)
     if not recorded.keys:
         raise UsageError(f"{path} has no step of any filter; nothing can be run again")
@@ -198,23 +215,27 @@ def read_origin(path: Path, branch: str, place: Path | None) -> Origin:
     steps = min(max(int(told["steps"]), last), len(source.steps))
     info = session.make_info(source, filters, first.params, first.noise, int(told["seed"]), steps, told["command"])
     info = info._replace(mistake=mistake)
-    return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged)
+    judged = f"{root_of(branch)}relations" in recording.entities
+    return Origin(path, branch, info, changes, recorded, told["versions"], places, recording.damaged, judged)
 
 
 def _line(recording: Recording, branch: str) -> tuple[Recorded, list[Change]]:
-    """What was recorded of a branch and of those that it came from, and what held from which step on."""
+    """What was recorded of a branch and of those that it came from, and what held from which step on.
+
+    A branch that begins at step 1 is a run of its own, such as those of a lesson: nothing was before it.
+    """
     way = recording.way(branch)
     firsts = [1, *(_first_step(recording, name) for name in way[1:])]
     recorded, changes = Recorded(), []
     for name, first, end in zip(way, firsts, [*firsts[1:], np.inf], strict=True):
-        recorded.add(recording, root_of(name), first, end - 1)
+        recorded.add(recording, name, first, end - 1)
         changes += [change for change in changes_of(recording, name, first) if change.step < end]
     return recorded, changes
 
 
 def _first_step(recording: Recording, branch: str) -> int:
     one = Recorded()
-    one.add(recording, root_of(branch), 1, np.inf)
+    one.add(recording, branch, 1, np.inf)
     if not one.keys:
         raise UsageError(f"{recording.path} has no step of the branch {branch!r}; nothing can be run again")
     return one.span[0]

@@ -2,13 +2,15 @@
 
     {"schema": 1, "version": "0.1.0", "command": text,
      "recording": text, "branch": text | null, "world": name, "seed": n,
+     "mistake": name | null,                            that all filters make on purpose, in both ways
      "from": step, "to": step, "complete": bool,        whether all steps and seeds that were asked for were made
      "set": {dotted name: [before, after], ...},
      "warnings": [sentence, ...], "said": [sentence, ...],
      "filters": {key: {
         "title": text, "step": [...],
         "differs_from_step": n | null,                  null: the changed way is the unchanged one, bit for bit
-        "unchanged": {"particles": K, "numbers": {key: number | null, ...}, "series": {name: [...], ...}},
+        "unchanged": {"particles": K, "numbers": {key: number | null, ...}, "series": {name: [...], ...},
+                      "nees_infinite": n},              steps at which it is, which are not in the mean
         "changed": {the same},
         "differences": {key: number | null, ...},       changed - unchanged
         "seeds": {key: {                                empty without --seeds
@@ -20,7 +22,8 @@
   with `n_eff_share`, of K, and `ancestors`, how many of the particles after step `from` have descendants, and
   `ancestors_share`, of those particles.
 - `seeds` has no number of the run's own random numbers: they were chosen for what happened with them.  `lower`: how
-  often the changed way had the smaller number with the same random numbers; `luck`: two-sided sign test.
+  often the changed way had the smaller number with the same random numbers; `luck`: two-sided sign test, null
+  where nothing is drawn after the fork.
 - `null` is what is not known, and infinity.
 """
 
@@ -28,6 +31,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -36,12 +40,19 @@ from app.compare.numbers import Column, Comparison, Filter
 from app.recording.metrics import LONERS
 from app.rows import ROWS
 from app.summary import plain
+from app.types import SessionInfo
 from app.version import version
 from app.whatif.numbers import Spread, Tallies, quantiles
 from app.whatif.settings import values_of
 from app.whatif.words import OF_MANY, span
 
 SCHEMA = 1
+
+
+def with_titles(found: Comparison, info: SessionInfo) -> Comparison:
+    """The same with the titles that the filters of a session have, which tell of a mistake in them."""
+    titles = {one.key: one.title for one in info.filters}
+    return found._replace(filters=[one._replace(title=titles[one.key]) for one in found.filters])
 
 
 def as_dict(
@@ -65,6 +76,7 @@ def as_dict(
             "branch": plan.origin.branch or None,
             "world": plan.origin.info.source.name,
             "seed": plan.origin.info.seed,
+            "mistake": plan.origin.info.mistake or None,
             "from": plan.first,
             "to": last,
             "complete": last == plan.last and others == plan.seeds,
@@ -92,7 +104,8 @@ def _filter(one: Filter, spreads: list[Spread]) -> dict[str, Any]:
 
 def _column(column: Column) -> dict[str, Any]:
     numbers = {row.key: column.values[row.key] for row in ROWS}
-    return {"particles": column.particles, "numbers": numbers, "series": column.series}
+    infinite = int(np.isinf(column.series["nees"]).sum())
+    return {"particles": column.particles, "numbers": numbers, "series": column.series, "nees_infinite": infinite}
 
 
 def _spread(spread: Spread) -> dict[str, Any]:

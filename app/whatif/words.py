@@ -58,7 +58,7 @@ def _of_filter(one: Filter, first: int) -> str:
         return "every number is that of the unchanged run, so this changes nothing for it here"
     parts = []
     for row in _rows(one.key, tuple(SAID)):
-        text = _instead(row, before.values[row.key], after.values[row.key])
+        text = _instead(one.text(row, after), one.text(row, before))
         if row.key == "ancestors_end":
             text += _of_how_many(before, after)
         parts += [f"{SAID[row.key]} {text}"] if text else []
@@ -80,12 +80,11 @@ def _rows(key: str, names: tuple[str, ...]) -> list[Row]:
     return [row for row in ROWS if row.key in names and not (key in LONERS and row.key in OF_MANY)]
 
 
-def _instead(row: Row, before: float, after: float) -> str:
+def _instead(after: str, before: str) -> str:
     """Empty where one of the two is not known."""
-    texts = [row.text(after), row.text(before)]
-    if not all(texts):
+    if not (after and before):
         return ""
-    return f"{texts[0]} as before" if texts[0] == texts[1] else f"{texts[0]} instead of {texts[1]}"
+    return f"{after} as before" if after == before else f"{after} instead of {before}"
 
 
 def on_luck(found: dict[str, list[Spread]], one: Comparison, count: int) -> list[str]:
@@ -105,6 +104,9 @@ def _of_spread(spread: Spread, count: int) -> str:
     if np.array_equal(spread.changed, spread.unchanged):
         return ""
     row = spread.row
+    if spread.certain:
+        texts = [row.text(float(values[0])) for values in (spread.changed, spread.unchanged)]
+        return f"{SAID[row.key]} {_instead(*texts)} with all of them: no luck is in it"
     text = f"{SAID[row.key]} {span(row, spread.changed)} instead of {span(row, spread.unchanged)}"
     less, more = spread.lower, spread.higher
     side = f"lower in {less}" if less >= more else f"higher in {more}"
@@ -121,7 +123,7 @@ def _verdict(spread: Spread, count: int) -> str:
 
 def _fate(spread: Spread, own: float, count: int) -> str:
     """Where the run itself lies among those that could have been."""
-    if spread.row.key != "position_error_rms_m" or math.isnan(own):
+    if spread.row.key != "position_error_rms_m" or math.isnan(own) or np.all(spread.unchanged == own):
         return ""
     better = int(np.sum(spread.unchanged < own))
     return f"unchanged, {better} of {count} do better than the run itself ({spread.row.text(own)})"

@@ -19,12 +19,13 @@ from app.compare.numbers import compare
 from app.compare.output import as_dict
 from app.compare.runs import read_run, read_runs, split_branch, titles
 from app.compare.table import filter_table, header, rows
-from app.compare.words import all_the_same, data_of, sentences, study_commands
+from app.compare.words import all_the_same, data_of, no_statistics, sentences, study_commands
 from app.errors import UsageError
 from app.recording import Recorder, RecordingError
 from app.recording.metrics import METRICS
 from app.recording.reading import Recording
 from app.recording.stream import FLUSH_EVERY
+from app.rows import NEES, ROWS
 from app.summary import Summary
 from scenarios.registry import build
 from scenarios.types import Step
@@ -274,10 +275,25 @@ class TestBranches:
         assert "live#six-particles differs from live: particles 12 -> 6" in said
         assert f"live#six-particles saw the same data as live: {ALL_EQUAL}" in said
         assert both.filters[0].columns[1].series["n_eff"].max() <= 6
+        assert len(no_statistics(both)) == 1  # no study has what a person changed on the way
+
+    def test_a_nees_that_is_infinite_at_times_has_no_difference(self, live):
+        one = compare(read_runs([str(live), f"{live}#six-particles"])).filters[0]
+        row = next(row for row in ROWS if row.key == NEES)
+        assert np.isfinite(one.difference(row, one.columns[1]))
+        nees = one.columns[0].series["nees"].copy()
+        nees[0] = np.inf
+        first = one.columns[0]._replace(series={**one.columns[0].series, "nees": nees})
+        assert np.isnan(one._replace(columns=[first, one.columns[1]]).difference(row, one.columns[1]))
+
+    def test_a_run_that_is_wrong_on_purpose_is_called_so(self, live):
+        run = read_run(live, "", "live")
+        wrong = run._replace(told={**run.told, "mistake": "shared-maps"})
+        assert "live is wrong on purpose: shared-maps" in sentences(compare([wrong, run._replace(name="other")]))
 
     def test_branches_that_are_not_compared_are_told(self, live, place, summaries):
         both = compare(read_runs([str(live), str(place / "a.rrd")]))
-        assert sentences(both)[0].endswith(f"it went on differently as {live}#six-particles")
+        assert sentences(both)[0].endswith(f"the other is {live}#six-particles")
         assert both.steps.tolist() == list(range(1, STEPS + 1))
 
     def test_a_branch_that_is_not_there(self, live, capsys):

@@ -588,6 +588,7 @@ class TestRecordings:
             return [] if entity.startswith("/evidence") else plain(self, entity, *rest)
 
         monkeypatch.setattr(Recording, "_rows", without)
+        monkeypatch.setattr(Recording, "entities", [])
         found = diagnose(read_cases(path).cases[0])
         assert {"founders", "evidence"} <= found.kinds()
         assert not {"observations", "shape of the map", "more particles", "enough particles"} & found.kinds()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,9 @@ import numpy as np
 import pytest
 
 from app import session
+from app.diagnosis.ancestry import findings
+from app.diagnosis.evidence import Numbers, record_of
+from app.diagnosis.findings import Case
 from app.events import Blind, Watch
 from app.loops import Loops, right_matches
 from app.recording import Recorder
@@ -241,6 +245,56 @@ def test_the_descendant_of_the_best_is_of_the_heaviest_survivor():
         trace = step.filters["fs1"].trace
         w = trace.weighted.log_w[trace.selected]
         assert w[best_descendant(step.filters["fs1"])] == w.max()
+
+
+@pytest.mark.parametrize(("particles", "limit"), [(2, 1.5), (10, 1.5), (40, 4.0)])
+def test_depleted_means_the_same_as_in_a_diagnosis(particles: int, limit: float):
+    source = build("paper-line")
+    info = session.make_info(source, [ESTIMATORS["fs1"]], source.params(particles=particles), seed=1, count=1)
+    (step,) = session.steps(info)
+    update = step.filters["fs1"]
+    for n_eff in (limit - 0.01, limit, limit + 0.01):
+        trace = update.trace._replace(n_eff=n_eff)
+        numbers = update.evidence.numbers._replace(n_eff=n_eff)
+        made = update._replace(trace=trace, evidence=update.evidence._replace(numbers=numbers))
+        found = Watch({"fs1": "FastSLAM 1.0"}).step(dataclasses.replace(step, filters={"fs1": made}))
+        record = record_of(np.array([1]), Numbers._fields, np.array([numbers]), [made.evidence.observations])
+        diagnosed = findings(Case("fs1", "FastSLAM 1.0", False, {}, record))
+        depleted = n_eff < limit
+        assert ("depleted" in {event.kind for event in found}) is depleted
+        assert ("depleted" in {finding.kind for finding in diagnosed}) is depleted
+
+
+RESAMPLED = re.compile(r"resampled: N_eff (\S+) (?:< (\d+)% of 20|of 20(?:, although not below (\d+)% of K)?); ")
+
+
+def why_resampled(mistake: str, below: float) -> list[tuple[float, str | None, str | None]]:
+    """N_eff, the percentage that it is said to be below, and the one that it is said not to be below."""
+    source = build("paper-line")
+    params = source.params(particles=20, resample_below=below)
+    info = session.make_info(source, session.estimators(["fs1"], mistake), params, seed=1, count=25)
+    watch, reasons = Watch({"fs1": "FastSLAM 1.0"}), []
+    for step in session.steps(info):
+        for text in [event.text for event in watch.step(step) if event.kind == "resampled"]:
+            found = RESAMPLED.search(text)
+            assert found is not None, text
+            n_eff = step.filters["fs1"].trace.n_eff
+            assert found[1] == f"{n_eff:.1f}"
+            reasons.append((n_eff, found[2], found[3]))
+    return reasons
+
+
+@pytest.mark.parametrize("below", [0.5, 0.75])
+@pytest.mark.parametrize("mistake", ["", "resample-always"])
+def test_why_it_was_resampled_is_true(mistake: str, below: float):
+    reasons, percent = why_resampled(mistake, below), f"{100 * below:.0f}"
+    for n_eff, smaller, larger in reasons:
+        assert (smaller, larger) == ((percent, None) if n_eff < below * 20 else (None, percent))
+    assert len({smaller for _, smaller, _ in reasons}) == (2 if mistake else 1)
+
+
+def test_no_reason_is_given_where_it_is_always_resampled():
+    assert [reason[1:] for reason in why_resampled("", 1.0)] == [(None, None)] * 25
 
 
 def write(pipe: Pipe, data: bytes) -> None:

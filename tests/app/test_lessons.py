@@ -109,6 +109,7 @@ BAD = [
     (["corridor", "--record", "a.rrd", "--out", "b"], ["--record or --out"]),
     (["corridor", "--live", "--record", "a.rrd"], ["--live", "no --record"]),
     (["corridor", "--no-browser"], ["--no-browser", "--live"]),
+    (["--no-browser"], ["--no-browser", "--live"]),
     (["--live"], ["NAME"]),
     (["corridor", "--seed", "x"], ["--seed is 'x'"]),
     (["corridor", "--sed", "1"], ["unknown option --sed", "did you mean --seed?"]),

@@ -96,6 +96,70 @@ def test_the_numbers_are_those_of_the_recorded_ancestors(recording: Recording, k
         assert found == [count.left[lag] for lag in lags]
 
 
+GROWS, MORE = 8, 200
+"""The step at which there are more particles, and how many."""
+
+
+@pytest.fixture(scope="module")
+def grown(info: SessionInfo) -> list[SessionStep]:
+    """Of FEWER particles at first."""
+    few = info._replace(filters=(ESTIMATORS["dfs"],), params=dataclasses.replace(info.params, particles=FEWER))
+    many = dataclasses.replace(info.params, particles=MORE)
+    return list(session.steps(few._replace(steps=2 * GROWS), [session.Change(GROWS, many)]))
+
+
+def scales(recording: Recording) -> dict[int, list[float]]:
+    """By step, how many ancestors the axis of the curves has room for, as its lines and the numbers at them tell."""
+    found = {}
+    labels = dict(recording.rows("/genealogy/frame/lags", "Points2D:labels", "step"))
+    for step, row in recording.rows("/genealogy/frame/lags", "LineStrips2D:strips", "step"):
+        box, *lines = np.array(row[0]), *map(np.array, row[1:])
+        (bottom, top), marks = (box[:, 1].max(), box[:, 1].min()), [line[0, 1] for line in lines if np.ptp(line[:, 0])]
+        numbers = [int(label) for label in labels[step][1 : 1 + len(marks)]]
+        found[step] = [
+            float(n ** ((bottom - top) / (bottom - height))) for n, height in zip(numbers, marks, strict=True)
+        ]
+    return found
+
+
+def shares(recording: Recording, step: int) -> Floats:
+    """(n,) heights of a curve on its axis, 1 at the top."""
+    (box, *_) = dict(recording.rows("/genealogy/frame/lags", "LineStrips2D:strips", "step"))[
+        max(s for s in scales(recording) if s <= step)
+    ]
+    ((curve,),) = [row for s, row in recording.rows("/genealogy/dfs/lags", "LineStrips2D:strips", "step") if s == step]
+    bottom, top = np.array(box)[:, 1].max(), np.array(box)[:, 1].min()
+    return (bottom - np.array(curve)[:, 1]) / (bottom - top)
+
+
+def test_the_curve_has_another_scale_when_there_are_more_particles(
+    info: SessionInfo, grown: list[SessionStep], tmp_path: Path
+) -> None:
+    few = info._replace(params=dataclasses.replace(info.params, particles=FEWER), filters=(ESTIMATORS["dfs"],))
+    recording = written(few, tmp_path / "grown.rrd", grown)
+    assert list(scales(recording)) == [1, GROWS]
+    np.testing.assert_allclose(scales(recording)[1], [FEWER], rtol=1e-4)
+    np.testing.assert_allclose(scales(recording)[GROWS], [MORE, MORE], rtol=1e-4)
+    for step in (1, GROWS - 1, GROWS, 2 * GROWS):
+        left = dict(recording.rows("/genealogy/dfs/lags", "ancestors", "step"))[step]
+        most = MORE if step >= GROWS else FEWER
+        np.testing.assert_allclose(shares(recording, step), np.log(left) / math.log(most), atol=1e-5)
+    assert shares(recording, 2 * GROWS).min() < 0.5
+
+
+def test_the_scale_of_a_curve_is_not_forgotten(
+    info: SessionInfo, steps: list[SessionStep], grown: list[SessionStep], tmp_path: Path
+) -> None:
+    """When there are fewer again; in a recording that begins after that; and when K grew in steps without pictures."""
+    late = written(info, tmp_path / "late.rrd", steps[CHANGE + 3 :])
+    for recording, first in ((written(info, tmp_path / "run.rrd", steps), 1), (late, CHANGE + 4)):
+        assert list(scales(recording)) == [first]
+        np.testing.assert_allclose(scales(recording)[first], [K], rtol=1e-4)
+    numbers = written(info._replace(filters=(ESTIMATORS["dfs"],)), tmp_path / "numbers.rrd", grown, "numbers")
+    assert list(scales(numbers)) == [2 * GROWS]
+    np.testing.assert_allclose(scales(numbers)[2 * GROWS], [MORE, MORE], rtol=1e-4)
+
+
 @pytest.mark.parametrize("detail", ["present", "numbers"])
 def test_no_step_of_the_ancestors_is_missing(
     info: SessionInfo, steps: list[SessionStep], recording: Recording, tmp_path: Path, detail: Detail
@@ -277,6 +341,22 @@ def test_what_is_said_of_hypotheses(steps: list[SessionStep]) -> None:
     said = f"feature {i} has the fewest hypotheses left, {copies[i]} in {holders[i]} maps "
     assert ancestry.scarcest(maps) == f"{said}(median of all features: {np.median(copies):.0f})"
     assert ancestry.scarcest(maps.store.empty(3)) == ""
+
+
+@pytest.mark.parametrize(
+    ("copies", "said"),
+    [
+        ([], ""),
+        ([0], ""),
+        ([3], "feature 0 has the fewest hypotheses left, 3 in 9 maps"),
+        ([0, 1], "feature 1 has the fewest hypotheses left, 1 in 9 maps"),
+        ([4, 1, 8], "feature 1 has the fewest hypotheses left, 1 in 9 maps (median of all features: 4)"),
+    ],
+)
+def test_of_a_single_feature_no_half_is_told(copies: list[int], said: str) -> None:
+    found = np.array(copies, np.int64)
+    maps = SimpleNamespace(hypotheses=lambda: (found, np.where(found > 0, 9, 0)))
+    assert ancestry.scarcest(maps) == said  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("steps", [0, 1, 9, 100, 5000])

@@ -19,13 +19,14 @@ from app.recording.metrics import METRICS
 from app.recording.reading import Recording
 from app.recording.session import SessionWriter
 from app.recording.stream import FLUSH_EVERY, FileStream
-from app.rows import ROWS
+from app.rows import NEES, ROWS
 from app.session import WORLD, Change, stream
 from app.whatif import origin
 from app.whatif.fork import Plan, made
-from app.whatif.numbers import Spread
+from app.whatif.numbers import Spread, _value
 from app.whatif.origin import Departure, read_origin
 from app.whatif.settings import read_settings
+from app.whatif.words import _fate, _of_spread
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
 from tests.app.live import at, change
@@ -219,7 +220,21 @@ class TestLuck:
         assert (spread.lower, spread.higher, spread.luck) == (10, 0, 2 / 1024)
         even = Spread(row, np.zeros(4), np.array([-1.0, 1.0, -1.0, 1.0]))
         assert even.luck == 1.0
-        assert Spread(row, np.zeros(3), np.zeros(3)).luck == 1.0
+        assert math.isnan(Spread(row, np.zeros(3), np.ones(3)).luck)  # copies of one comparison are no sample
+
+    def test_copies_of_one_comparison_are_told_as_such(self):
+        row = next(row for row in ROWS if row.key == "position_error_rms_m")
+        spread = Spread(row, np.full(20, 0.2), np.full(20, 0.1))
+        assert (
+            _of_spread(spread, 20) == "position error (RMS) 0.1 m instead of 0.2 m with all of them: no luck is in it"
+        )
+        assert _fate(spread, 0.2, 20) == ""
+        assert "3 of 20 do better" in _fate(spread._replace(unchanged=np.repeat([0.1, 0.3], [3, 17])), 0.2, 20)
+
+    def test_an_infinite_nees_is_in_no_mean(self):
+        row = next(row for row in ROWS if row.key == NEES)
+        assert _value(row, {"nees": np.array([1.0, np.inf, 2.0])}) == math.inf
+        assert _value(row, {"nees": np.array([1.0, np.nan, 2.0])}) == 1.5
         most = Spread(row, np.zeros(6), np.array([-1.0, -1.0, -1.0, -1.0, -1.0, 1.0]))
         assert most.luck == pytest.approx(2 * 7 / 64)
 

@@ -217,6 +217,10 @@ def test_copies_that_write_into_one_map(key: str) -> None:
     some[:4] = 0
     shared = trace._replace(weighted=trace.weighted._replace(maps=trace.weighted.maps.select(some)))
     assert twins(shared, frame, R) == 3.0
+    copies = np.repeat([0, 1, 2, 9], [5, 20, 4, 1])
+    s = trace.resampled.s[copies]
+    copied = shared._replace(selected=copies, resampled=trace.resampled._replace(s=s))
+    assert twins(copied, frame, R) == 2.0
 
 
 @pytest.mark.parametrize("where", ["predicted", "resampled"])

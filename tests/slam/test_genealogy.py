@@ -471,6 +471,13 @@ def test_distinct_ancestors_at_some_lags(seed):
     assert tree.distinct([]).shape == (0,)
 
 
+def test_how_many_lived_after_each_step():
+    """Of a value that was grown twice, of each branch its own."""
+    first = Genealogy.start(np.zeros((3, 3))).grow([0, 1, 2, 2], np.zeros((4, 3)))
+    fewer, more = first.grow([3, 3], np.zeros((2, 3))), first.grow([0] * 6, np.zeros((6, 3)))
+    assert [g.sizes.tolist() for g in (first, fewer, more)] == [[3, 4], [3, 4, 2], [3, 4, 6]]
+
+
 def test_what_does_not_fit_is_refused_and_harms_nothing():
     tree = Genealogy.start(np.zeros((3, 3)))
     for ancestors, s in (
