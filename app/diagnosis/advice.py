@@ -7,7 +7,7 @@ import math
 from app.diagnosis import particles
 from app.diagnosis.ancestry import great_losses, since_resampling
 from app.diagnosis.causes import WIDE
-from app.diagnosis.findings import Case, Finding
+from app.diagnosis.findings import Case, Finding, amount
 from app.recording.metrics import LONERS
 from slam.limits import PARAMS
 
@@ -98,9 +98,9 @@ def _sensor(case: Case, found: list[Finding]) -> list[Finding]:
         return []
     ratio, inflated = max(off), _inflated(case, max(off))
     text = (
-        f"Innovations ask for deviations {math.sqrt(ratio):.2g} times larger than is believed, of the motion or of the"
+        f"Innovations ask for deviations {amount(math.sqrt(ratio))} times larger than is believed, of the motion or of"
     )
-    text += f" sensor; they do not tell which. Try a larger R, {ratio:.2g} times the covariance (inflate_r"
+    text += f" the sensor; they do not tell which. Try a larger R, {amount(ratio)} times the covariance (inflate_r"
     text += f" {float(case.params.get('inflate_r', 1.0)):g} to {inflated}); or believe in more motion noise"
     text += " (believed.speed and believed.turn, or believed.odometry)."
     tries = (f"--from {case.record.steps[0]} --set inflate_r={inflated}",)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from app.diagnosis.evidence import Record
-from app.diagnosis.findings import Case, Finding, are, percent, several, were
+from app.diagnosis.findings import Case, Finding, amount, are, percent, several, were
 from slam.types import Floats, Ints
 
 FEW = 0.1
@@ -182,7 +182,7 @@ def _founders(record: Record, found: Losses) -> Finding:
     if "related" not in record.missing:
         numbers |= {"related": found.tau, "founders_expected": found.expected()}
         if found.tau > 0.0:
-            text += f"; as many copies would leave {found.expected():.2g} by chance, if weights were not inherited"
+            text += f"; as many copies would leave {amount(found.expected())} by chance, if weights were not inherited"
     few = left <= max(FEW * found.first, 1.0)
     return Finding("diversity", "founders", text + ".", tuple(at.values()), numbers, warns=bool(few))
 
@@ -196,6 +196,6 @@ def _depleted(record: Record) -> Finding | None:
     steps = dict.fromkeys(int(record.steps[i]) for i in (worst, *depleted[:5]))
     limit = f"{percent(FEW)} of K" if FEW * K.min() >= LEAST_N_EFF else f"{LEAST_N_EFF:g} or {percent(FEW)} of K"
     text = f"N_eff was below {limit} in {several(len(depleted), 'step')} of {len(record.steps)}"
-    text += f", at the worst {n_eff[worst]:.2g} of {K[worst]:g} at step {record.steps[worst]}."
+    text += f", at the worst {amount(n_eff[worst])} of {K[worst]:g} at step {record.steps[worst]}."
     share = {"share_of_steps": len(depleted) / len(record.steps), "worst_n_eff": float(n_eff[worst])}
     return Finding("diversity", "depleted", text, tuple(steps), share, warns=True)

@@ -69,10 +69,8 @@ def _when(below: float) -> str:
 
 
 def _resample(case: Case, left: float, carry: float, below: float) -> Finding:
-    text = (
-        f"Only {carry:.2g} of {case.record['particles'][-1]:g} particles carry the weight, and they are not resampled"
-    )
-    text += f" {_when(below)}: the others are in vain. Resample earlier."
+    text = f"Only {amount(carry)} of {case.record['particles'][-1]:g} particles carry the weight, and they are not"
+    text += f" resampled {_when(below)}: the others are in vain. Resample earlier."
     tries = (f"--from {case.record.steps[0]} --set resample_below={USUAL_BELOW:g}",)
     numbers = {"founders_left": left, "level": float(ENOUGH), "carry": carry}
     return Finding("advice", "resample earlier", text, (), numbers, warns=True, tries=tries)
@@ -108,7 +106,7 @@ def _more(case: Case, found: Losses, kinds: Set[str]) -> Finding:
         text += " and diagnose that again"
     elif wanted <= K:
         text = f"{several(left, 'founder')} {are(left)} left by bad luck: with {K:g} particles"
-        text += f" {found.expected():.2g} were to be expected"
+        text += f" {amount(found.expected())} were to be expected"
     else:
         text = f"With {wanted} particles {ENOUGH} founders should be left with most seeds"
     numbers = _numbers(left, wanted)
@@ -125,8 +123,8 @@ def _why_unsure(case: Case, found: Losses, kinds: Set[str]) -> list[str]:
     sooner = _sooner(record)
     if expected > INHERITED * left:
         why.append(
-            f"{left:g} {are(left)} left where {expected:.2g} are expected of as many copies, so that weights depend on"
-            " what particles have inherited"
+            f"{left:g} {are(left)} left where {amount(expected)} are expected of as many copies, so that weights depend"
+            " on what particles have inherited"
         )
     elif sooner > INHERITED:
         why.append(f"lines meet {sooner:.2g} times sooner than as many copies alone would make them")
