@@ -222,14 +222,10 @@ def test_a_reset_begins_another_file(engine, tmp_path):
     assert [(script["seed"], script["branches"][0]["steps"]) for script in seeds] == [(1, 4), (5, 2)]
 
 
-def test_stopping_waits_for_the_files_of_former_sessions_too(engine, tmp_path):
-    made: list[Slow] = []
-
-    def make(path):
-        made.append(Slow(seconds=0.1 if not made else 0.0))
-        return made[-1]
-
-    records = records_of(engine, tmp_path, make)
+def reset_while_recording(engine, directory, *listeners):
+    """A recording of six steps, and another one of the session after a reset; what is said when it is stopped."""
+    made = iter(listeners)
+    records = records_of(engine, directory, lambda path: next(made))
     records.start("r")
     engine.step(6)
     at(engine, 6)
@@ -237,24 +233,17 @@ def test_stopping_waits_for_the_files_of_former_sessions_too(engine, tmp_path):
     engine.wait(lambda s: s.number == 1)
     engine.step(1)
     at(engine, 1)
-    assert records.stop().startswith("saved")
-    assert [slow.indices for slow in made] == [[1, 2, 3, 4, 5, 6], [1]]
+    return records.stop()
+
+
+def test_stopping_waits_for_the_files_of_former_sessions_too(engine, tmp_path):
+    first, second = Slow(seconds=0.1), Slow()
+    assert reset_while_recording(engine, tmp_path, first, second).startswith("saved")
+    assert [slow.indices for slow in (first, second)] == [[1, 2, 3, 4, 5, 6], [1]]
 
 
 def test_a_former_session_that_was_lost_is_told(engine, tmp_path):
-    made: list[Slow] = []
-
-    def make(path):
-        made.append(Slow(seconds=0.1, fails_at=None if made else 3))
-        return made[-1]
-
-    records = records_of(engine, tmp_path, make)
-    records.start("r")
-    engine.step(4)
-    at(engine, 4)
-    engine.reset(seed=5)
-    engine.wait(lambda s: s.number == 1)
-    told = records.stop()
+    told = reset_while_recording(engine, tmp_path, Slow(seconds=0.1, fails_at=3), Slow())
     assert "**lost**" in told
     assert "r.rrd" in told
     assert "saved" in told

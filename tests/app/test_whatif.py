@@ -29,37 +29,14 @@ from app.whatif.settings import read_settings
 from app.whatif.words import _fate, _of_spread
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from tests.app.asking import SEED, asked, record, refused, whatif
 from tests.app.live import at, change
 from tests.app.viewer import required_viewer
 
-STEPS, FROM, SEED = 16, 7, 3
+STEPS, FROM = 16, 7
 KEYS = ("dfs", "fs2", "ekf")
 
-
-def run(path, *more, steps=STEPS, world="paper-line", filters=KEYS):
-    words = ["run", str(world), "--filters", *filters, "--steps", str(steps), "--seed", str(SEED)]
-    assert cli.entry([*words, "--record", str(path), "--particles", "12", *map(str, more)]) == 0
-    return path
-
-
-def whatif(path, *arguments):
-    return cli.entry(["whatif", str(path), *map(str, arguments)])
-
-
-def asked(path, folder, *arguments):
-    """The summary of a question that has an answer."""
-    out = folder / "asked.json"
-    assert whatif(path, *arguments, "--summary", out) == 0
-    return json.loads(out.read_text())
-
-
-def refused(capsys, path, *arguments) -> str:
-    capsys.readouterr()
-    assert whatif(path, *arguments) == 2
-    found = capsys.readouterr()
-    assert found.out == ""
-    (line,) = [line for line in found.err.splitlines() if line.startswith("dualslam: ")]
-    return line
+run = partial(record, filters=KEYS, steps=STEPS)
 
 
 @pytest.fixture(scope="module")

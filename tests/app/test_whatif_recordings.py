@@ -4,13 +4,12 @@ relations, damage; and the recordings that it writes itself."""
 from __future__ import annotations
 
 import dataclasses
-import json
 from functools import partial
 
 import numpy as np
 import pytest
 
-from app import cli, session
+from app import session
 from app.compare.numbers import compare
 from app.compare.output import Told, as_dict
 from app.compare.runs import read_run, read_runs
@@ -26,35 +25,12 @@ from app.run import session_of_command
 from app.session import Change
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
+from tests.app.asking import SEED, asked, record, refused, whatif
 from tests.app.live import at, change
 
-STEPS, FROM, SEED = 12, 5, 3
+STEPS, FROM = 12, 5
 
-
-def run(path, *more, filters=("dfs", "fs2"), steps=STEPS, world="paper-line"):
-    words = ["run", str(world), "--filters", *filters, "--steps", str(steps), "--seed", str(SEED)]
-    assert cli.entry([*words, "--record", str(path), "--particles", "12", *map(str, more)]) == 0
-    return path
-
-
-def whatif(path, *arguments):
-    return cli.entry(["whatif", str(path), *map(str, arguments)])
-
-
-def asked(path, folder, *arguments):
-    """The summary of a question that has an answer."""
-    out = folder / "asked.json"
-    assert whatif(path, *arguments, "--summary", out) == 0
-    return json.loads(out.read_text())
-
-
-def refused(capsys, path, *arguments) -> str:
-    capsys.readouterr()
-    assert whatif(path, *arguments) == 2
-    found = capsys.readouterr()
-    assert found.out == ""
-    (line,) = [line for line in found.err.splitlines() if line.startswith("dualslam: ")]
-    return line
+run = partial(record, filters=("dfs", "fs2"), steps=STEPS)
 
 
 @pytest.fixture(scope="module")
