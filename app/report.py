@@ -90,8 +90,7 @@ def print_report(info: SessionInfo, summary: Summary, console: Console) -> None:
     console.print(f"[bold]{escape(info.source.name)}[/]  {escape(info.source.title)}", soft_wrap=True)
     console.print(f"{what}, {info.params.association} association")
     if info.mistake:
-        mistake = MISTAKES[info.mistake]
-        wrong = f"wrong on purpose, {info.mistake}: {mistake.what} What shows it: {mistake.signature}"
+        wrong = f"wrong on purpose, {info.mistake}: {MISTAKES[info.mistake].told}"
         console.print(wrong, style="bold red", soft_wrap=True, markup=False)
     for sentence in on_odometry(info, summary):
         console.print(sentence, soft_wrap=True, markup=False)

@@ -113,7 +113,7 @@ with at most {shown.hypotheses} features of all maps{" (a wall that particles sh
 
 def _mistake(name: str) -> str:
     """What is wrong on purpose, as a paragraph."""
-    return f"\n**This run is wrong on purpose** (`--mistake {name}`). {MISTAKES[name].what}\n" if name else ""
+    return f"\n**This run is wrong on purpose** (`--mistake {name}`). {MISTAKES[name].told}\n" if name else ""
 
 
 def relations(found: Mapping[str, Breaks], titles: Mapping[str, str], step: int) -> str:

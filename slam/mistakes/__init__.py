@@ -36,6 +36,11 @@ class Mistake(NamedTuple):
     feature: Callable[[Any], Any] | None = None
     """Of the feature kind, if that is what is wrong."""
 
+    @property
+    def told(self) -> str:
+        """What is wrong, and what shows it."""
+        return f"{self.what} What shows it: {self.signature}"
+
 
 _SHARED: Phases = {
     "update_features": pieces.update_shared_features,
@@ -86,7 +91,7 @@ _ALL = (
     Mistake(
         "unsampled-proposal",
         "What is to be sampled is put at its mean: the pose in FastSLAM, new features in Dual FastSLAM.",
-        "What should be a draw is exactly its mean, in every particle.",
+        "Most of what should be draws is exactly its mean.",
         {
             "dfs": {"draw_features": pieces.take_mean_features},
             "fs2": {"draw_pose": pieces.take_mean_pose},
@@ -109,7 +114,8 @@ _ALL = (
     Mistake(
         "keep-first",
         "The resampler never drops the first particle, whatever its weight.",
-        "The first particle outlives more resamplings than its weights give it a chance to.",
+        "The first particle is in a place that the resampling scheme gives to another one, or outlives more "
+        "resamplings than its weights give it a chance to.",
         _everywhere({"resample_if_needed": pieces.resample_and_keep_first}),
     ),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from app import session
 from app.diagnosis.diagnose import diagnose
@@ -24,8 +26,12 @@ from app.live.script import Check, replay_of, script_of
 from app.options import MISTAKES as NAMES
 from app.panel import now
 from app.recording import Recorder
+from app.recording.limits import limits_for
 from app.recording.reading import Recording
+from app.recording.texts import about
+from app.report import print_report
 from app.run import check_mistake
+from app.summary import Summary
 from app.types import SessionStep
 from scenarios.registry import build
 from slam.estimators import ESTIMATORS
@@ -348,3 +354,17 @@ def test_a_mistake_is_made_after_a_reset_and_again_in_a_replay() -> None:
         assert check.same == same
     with pytest.raises(UsageError, match="is no session"):
         replay_of({**script, "mistake": "none such"}, "", "here")
+
+
+@pytest.mark.parametrize("name", list(MISTAKES))
+def test_a_run_says_what_is_wrong_and_what_shows_it(name: str) -> None:
+    """On the terminal, and on the page of its recording."""
+    source = build("paper-line")
+    filters = session.estimators([key for key in ("dfs", "fs2", "fs1") if key in MISTAKES[name].phases], name)
+    info = session.make_info(source, filters, source.params(particles=4), count=1)._replace(mistake=name)
+    summary, out = Summary(), io.StringIO()
+    session.run(info, [summary])
+    print_report(info, summary, Console(file=out, width=1000))
+    for text in (out.getvalue(), about(info, limits_for(1))):
+        assert MISTAKES[name].what in text
+        assert f"What shows it: {MISTAKES[name].signature}" in text
