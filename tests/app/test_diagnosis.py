@@ -346,6 +346,12 @@ class TestConsistency:
         assert "error unseen" in {f.kind for f in consistency(wrong)}
         assert "error unseen" not in {f.kind for f in consistency(made(nis_first=nis[0], nis_second=nis[1]))}
 
+    def test_the_longest_time_above_the_band_is_named(self) -> None:
+        nees = np.concatenate([np.full(12, 9.0), np.full(3, 1.0), np.full(20, 9.0), np.full(2, 1.0), np.full(3, 9.0)])
+        found = consistency(made(nees_position=nees))[0]
+        assert "longest from step 16 to 35" in found.text
+        assert found.steps == (16,)
+
     def test_overconfidence(self) -> None:
         nees = np.concatenate([np.full(10, 1.0), np.full(20, 9.0)])
         found = consistency(made(nees_position=nees, nis_first=1.0, nis_second=1.0))
@@ -465,6 +471,16 @@ class TestAdvice:
         assert "deviations 1.3 times larger" in found.text
         assert "1.7 times the covariance (inflate_r 4 to 6.76)" in found.text
         assert found.tries == ("--from 1 --set inflate_r=6.76",)
+
+    def test_of_a_small_sample_more_are_tried(self) -> None:
+        """Though no step left few parents, and the coalescent agrees with what is left."""
+        related, left = np.full(20, 0.02), 4.0
+        few = made(related=related, diversity=left / 15.0, particles=15.0)
+        found = particles.findings(few, set())[0]
+        assert (found.kind, found.numbers["particles"]) == ("more particles at least", 150.0)
+        assert "15 particles are too few to tell by" in found.text
+        enough = made(related=related, diversity=left / 25.0, particles=25.0)
+        assert particles.findings(enough, set())[0].kind == "more particles"
 
     def test_one_particle(self) -> None:
         case = made(related=math.nan, particles=1.0)
