@@ -133,9 +133,9 @@ def lag_frame(steps: int, particles: int) -> tuple[rr.LineStrips2D, rr.Points2D]
 
 
 def time_marks(last: Band, axis: int) -> rr.Points2D:
-    """Numbers below the lowest band."""
+    """Numbers below the lowest band; none at its end, where those of the curves beside it begin."""
     every = next(f * 10**i for i in range(8) for f in (1, 2, 5) if axis <= 6 * f * 10**i)
-    marks = range(0, axis + 1, every)
+    marks = range(0, axis, every)
     places = [[m * WIDTH / axis, last.bottom + 4.0] for m in marks]
     return _labels(places, [f"{m}" if m else "#0" for m in marks], GREY)
 

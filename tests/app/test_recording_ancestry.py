@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from app import ancestry, colours, session
+from app.recording import charts
 from app.recording.errors import RecordingError
 from app.recording.reading import Recording
 from app.recording.writer import Detail, Writer
@@ -367,3 +368,12 @@ def test_lags_are_dense_at_first_and_reach_the_beginning(steps: int) -> None:
     assert lags == sorted(set(lags))
     assert lags[:6] == list(range(min(6, steps + 1)))
     assert len(lags) <= 60
+
+
+@pytest.mark.parametrize(
+    ("axis", "labels"), [(60, ["#0", *map(str, range(10, 60, 10))]), (64, ["#0", "20", "40", "60"])]
+)
+def test_no_number_of_the_time_axis_is_where_the_curves_begin(axis: int, labels: list[str]) -> None:
+    marks = charts.time_marks(charts.Band(0.0, 10.0), axis)
+    assert marks.labels is not None
+    assert marks.labels.as_arrow_array().to_pylist() == labels
